@@ -49,14 +49,8 @@ class _Scanned(Protocol):
 class Acquired:
     """Sweep without a simulation, with the truth at the time of each frame.
 
-    Parameters
-    ----------
-    sweep
-        Acquired sweep.
-    needles
-        Needles in T, moved by the tissue.
-    deformations
-        Deformations of the tissue; None if it does not react.
+    `sweep`: acquired sweep; `needles`: needles in T, moved by the tissue; `deformations`:
+    deformations of the tissue; None if it does not react.
     """
 
     sweep: Sweep

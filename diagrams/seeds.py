@@ -13,16 +13,9 @@ from sonoservo.systems.ultrasound.simulation.tissue import Tissue, load_tissue
 class Seeds:
     """Independent random seeds of the parts of a run.
 
-    Parameters
-    ----------
-    tissue, insertion
-        Seeds of the phantom's speckle, and of needle and hand.
-    noise
-        Seed of the scanner's noise.
-    station
-        Seed of the wrist sensor's noise, or of the tissue's shifts.
-    tracker
-        Seed of the random choices of tracker or estimator.
+    `tissue`, `insertion`: seeds of the phantom's speckle, and of needle and hand; `noise`: seed of
+    the scanner's noise; `station`: seed of the wrist sensor's noise, or of the tissue's shifts;
+    `tracker`: seed of the random choices of tracker or estimator.
     """
 
     tissue: int

@@ -79,14 +79,8 @@ class Grade(IntEnum):
 class Finding:
     """Outcome of a check.
 
-    Parameters
-    ----------
-    check, grade
-        What was checked, and how grave it is.
-    text
-        What was found, with its figures.
-    advice
-        What to do; empty if nothing needs doing.
+    `check`, `grade`: what was checked, and how grave it is; `text`: what was found, with its
+    figures; `advice`: what to do; empty if nothing needs doing.
     """
 
     check: Check

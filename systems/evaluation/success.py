@@ -34,15 +34,10 @@ SUCCESS_MM, SUCCESS_DEG = 2.0, 2.0
 class TrackedVolumes:
     """What a tracker made of the v volumes of a run, judged with the truth.
 
-    Parameters
-    ----------
-    tip, axis
-        (v,) errors in mm and deg; infinite without an estimate or a needle.
-    tracking
-        (v,) mask of the volumes that confirmed a needle.
-    to_be_seen
-        (v,) length of the true needle that there was to be seen, in mm: that which stands out in
-        the volume, if it was measured, or else that in view.
+    `tip`, `axis`: (v,) errors in mm and deg; infinite without an estimate or a needle; `tracking`:
+    (v,) mask of the volumes that confirmed a needle; `to_be_seen`: (v,) length of the true needle
+    that there was to be seen, in mm: that which stands out in the volume, if it was measured, or
+    else that in view.
     """
 
     tip: Floats

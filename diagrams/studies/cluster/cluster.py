@@ -27,14 +27,9 @@ class Cluster:
     (``distributed.scheduler.allowed-failures``). Every worker has one case at a time; one whose
     package differs from this process's gets no cases.
 
-    Parameters
-    ----------
-    client
-        Client of the scheduler.
-    limit
-        Longest time in s that a case may take, after which it ends its worker.
-    patience
-        Time in s without an answer after which the scheduler is considered gone.
+    `client`: client of the scheduler; `limit`: longest time in s that a case may take, after which
+    it ends its worker; `patience`: time in s without an answer after which the scheduler is
+    considered gone.
     """
 
     def __init__(self, client: Client, *, limit: float, patience: float = 15.0) -> None:

@@ -44,14 +44,8 @@ class Value:
 class MethodRuns:
     """Runs of one experiment with one method.
 
-    Parameters
-    ----------
-    outcomes
-        Outcomes of all experiments.
-    name
-        Name of the experiment.
-    logs
-        Folder of the logs, if there are any.
+    `outcomes`: outcomes of all experiments; `name`: name of the experiment; `logs`: folder of the
+    logs, if there are any.
     """
 
     def __init__(self, outcomes: Sequence[Outcome], name: str, logs: Path | None = None) -> None:
@@ -142,10 +136,7 @@ class MethodRuns:
 class Comparison:
     """Runs of one experiment with both methods, and the rows made from them.
 
-    Parameters
-    ----------
-    outcomes, name, logs
-        See `MethodRuns`.
+    `outcomes`, `name`, `logs`: see `MethodRuns`.
     """
 
     def __init__(self, outcomes: Sequence[Outcome], name: str, logs: Path | None = None) -> None:

@@ -78,10 +78,8 @@ _TRAVEL: Sequence[tuple[str, str, Callable[[Group], Figure]]] = (
 class RobustnessStudy(Study):
     """Study of robustness, with the dials' thresholds; see `Study`.
 
-    Parameters
-    ----------
-    thresholds
-        Dial, unit, moderate strength, and threshold of each tracker in words, for each dial.
+    `thresholds`: dial, unit, moderate strength, and threshold of each tracker in words, for each
+    dial.
     """
 
     thresholds: Sequence[Mapping[str, str]] = field(default_factory=tuple)
