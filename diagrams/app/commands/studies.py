@@ -49,7 +49,7 @@ def dataset_command(
     out: Annotated[Path, typer.Option(help="Folder for the sequences and manifest.json.")],
     volumes: Annotated[int, typer.Option(help="Number of volumes in each sequence.")] = 10,
     transducers: Annotated[
-        list[str] | None, typer.Option("--transducer", help="Probe to draw from; repeatable.")
+        list[str] | None, typer.Option("--probe", help="Probe to draw from; repeatable.")
     ] = None,
     changes: ChangesOption = None,
     seed: Annotated[int | None, typer.Option(min=0, help="Seed of the first sequence.")] = None,
