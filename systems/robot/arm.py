@@ -88,18 +88,8 @@ class Arm:
 class ArmWithProbe:
     """Arm and its probe in a plant.
 
-    Parameters
-    ----------
-    plant
-        Plant that contains them.
-    model_instance
-        Model instance with the arm's joints.
-    probe
-        Body of the probe, whose frame is P.
-    wrist
-        Index of the weld between flange and probe. A wrist force sensor measures its reaction.
-    frame
-        Frame P, as calibrated.
+    `wrist` is the weld between flange and probe, whose reaction the wrist force sensor measures;
+    `frame` is P as calibrated.
     """
 
     plant: MultibodyPlant
@@ -207,12 +197,7 @@ def _check(plant: MultibodyPlant, instance: ModelInstanceIndex, arm: Arm) -> Non
 def AddArm(plant: MultibodyPlant, arm: Arm) -> ModelInstanceIndex:
     """Add an arm without a probe to a plant and return its model instance.
 
-    Joints without a motor in the model's file are given one.
-
-    Raises
-    ------
-    ValueError
-        If the directives do not produce an arm.
+    Joints without a motor get one. ValueError if the directives produce no arm.
     """
     add_directives(plant, arm.directives, arm.packages)
     if not plant.HasModelInstanceNamed("arm"):

@@ -29,22 +29,10 @@ _WANTED = {
 def resolve_files(
     directives: list[ModelDirective], path: Path, packages: dict[str, str] | None = None
 ) -> None:
-    """Check directives from a YAML file, and make their relative file names absolute.
+    """Check directives from a YAML file, and make their relative names absolute, in place.
 
-    Parameters
-    ----------
-    directives
-        Directives, which are changed in place. Their file names are relative to the YAML file. URLs
-        (``package://``, ``file://``) remain unchanged.
-    path
-        Path of the YAML file.
-    packages
-        Folders of packages by name, relative to the YAML file; they are made absolute, too.
-
-    Raises
-    ------
-    ConfigurationError
-        If a field, a file or a folder is missing.
+    `packages` are folders relative to the YAML file. ConfigurationError if a field, a file or a
+    folder is missing.
     """
     packages = {} if packages is None else packages
     for name, folder in packages.items():
@@ -77,10 +65,7 @@ def add_directives(
 ) -> None:
     """Add the models that directives describe to a plant; they may name files in packages.
 
-    Raises
-    ------
-    ValueError
-        If Drake rejects a directive.
+    ValueError if Drake rejects a directive.
     """
     parser = Parser(plant)
     parser.package_map().AddPackageXml(str(model_path("package.xml")))

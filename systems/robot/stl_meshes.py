@@ -19,17 +19,7 @@ _VERTEX = re.compile(rb"vertex\s+(\S+)\s+(\S+)\s+(\S+)")
 def without_stl(model: Path, packages: Mapping[str, str]) -> Path:
     """Return a URDF or SDF file, or a copy that names OBJ meshes in place of its STL ones.
 
-    Parameters
-    ----------
-    model
-        Path of the file.
-    packages
-        Folders of the packages in its ``package://`` addresses, by name.
-
-    Raises
-    ------
-    ConfigurationError
-        If a mesh does not exist or cannot be read.
+    `packages` are folders by name. ConfigurationError if a mesh does not exist or cannot be read.
     """
     if model.suffix not in (".urdf", ".sdf") or ".stl" not in model.read_text().lower():
         return model
