@@ -37,6 +37,15 @@ class Scenario:
     seed: int = 0
     published_figures: dict[str, float] = field(default_factory=dict)
 
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        # A dataclass makes a representation of its own, with hundreds of fields, unless there is one.
+        cls.__repr__ = Scenario.__repr__  # type: ignore[method-assign]
+
+    def __repr__(self) -> str:
+        name = type(self).__name__
+        return f"<{name} {self.name!r}, seed {self.seed}, {self.duration:g} s; to_yaml() has all>"
+
     def __post_init__(self) -> None:
         own = type(self).experiment
         require(self.experiment == own, "experiment", self.experiment, repr(own))

@@ -143,8 +143,8 @@ SHAPE = """
   .filter(each => each.style.display != 'none').map(each => each.outerHTML.slice(0, 40)).join()
 """
 PARTS = (
-    "#world", ".slice", ".strip:not([hidden])", "#controls", "#readings", "#view", "#buttons button",
-    "#sliders label", "#sliders kbd", "header button",
+    "#world", ".slice", ".strip:not([hidden])", "#controls", "#readings", "#view",
+    "#buttons button", "#sliders label", "#sliders kbd", "header button",
 )  # fmt: skip
 
 
@@ -355,8 +355,11 @@ def test_a_shape_prediction_has_a_slice_charts_and_figures_of_its_own(open_page,
     path = {name: [0.0, 1.0, 4.0] for name in PATHS} | {"depth": [0.0, 50.0, 100.0]}
     seen = {"found_depth": [0.0, 50.0], "found_x": [0.1, 0.9], "found_y": [0.0, 1.1],
             "true_depth": [0.0, 50.0], "true_x": [0.0, 1.0], "true_y": [0.0, 1.0]}  # fmt: skip
-    picture = SlicePicture("Axial slice", ("X", "depth"), np.full((40, 30), 90, np.uint8),
-                           (-15.0, 0.0), (30.0, 40.0), (-15, 15, 0, 40), [], np.array([1.0, 9.0]))  # fmt: skip
+    grey, ring = np.full((40, 30), 90, np.uint8), np.array([1.0, 9.0])
+    edges = (-15.0, 15.0, 0.0, 40.0)
+    picture = SlicePicture(
+        "Axial slice", ("X", "depth"), grey, (-15.0, 0.0), (30.0, 40.0), edges, [], ring
+    )
     page = open_page(console.web_url)
     console.show_frame(Frame(1, 0.5, "tracking", [picture], 60 / 255, path | seen))
     console.add(Sample(time=0.5, error=0.2, readings=[Reading("bend", "true bend", 4.0, "mm")]))
