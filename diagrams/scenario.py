@@ -39,7 +39,7 @@ class Scenario:
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
-        # A dataclass makes a representation of its own, with hundreds of fields, unless there is one.
+        # A dataclass would represent itself by its hundreds of fields.
         cls.__repr__ = Scenario.__repr__  # type: ignore[method-assign]
 
     def __repr__(self) -> str:
