@@ -22,17 +22,16 @@ class PublishedDetectionParameters:
     candidate_volume
         Total volume of the candidate voxels, which fixes their number ``|X|``, in m^3. The paper
         chooses the number that best separates the variance of a motionless volume from that of a
-        volume with a moving needle. That was done here with fig. 5 on seeds from 100 on.
+        volume with a moving needle. So it was here, with figs. 4 and 5 on seeds from 100 on.
     max_std
         Square root of the variance threshold tau, in m. The variance is the trace of the
-        candidates' covariance. The value lies between the 24 mm and less of a moving needle and the
-        32 mm and more of motionless volumes, chosen in the same way between sweeps of one
-        direction.
+        candidates' covariance. Between sweeps of one direction, half the volumes with a moving
+        needle are below 24 mm, and no motionless one is below 34 mm.
     max_depth
         Largest distance delta from the geometric median to the candidate entry point, in m.
     """
 
-    candidate_volume: float = 30e-9
+    candidate_volume: float = 5e-9
     max_std: float = 27e-3
     max_depth: float = 10e-3
 

@@ -66,7 +66,7 @@ class PublishedLocalizationParameters:
         contrast, the drop at which the needle ends.
     """
 
-    candidate_volume: float = 120e-9
+    candidate_volume: float = 400e-9
     margin: float = 10e-3
     first_margin: float = 20e-3
     max_angle_deg: float = 35.0
