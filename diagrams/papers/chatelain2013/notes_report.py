@@ -8,10 +8,10 @@ NOTES = (
     "The paper shows one run of each experiment, on one phantom, and estimated errors only. Here, "
     "ground truth comes from the simulator; neither tracker nor controller reads it.",
     "As published: the whole published method and nothing of ours, on the same seeds. Consecutive "
-    "sweeps of one direction are compared, one admissible entry point starts the track, the filter "
-    "works in the probe's frame, eq. 25 alone moves the probe and its command is held between "
-    "volumes, nothing checks a measurement, and a lost needle is not found again. The force law "
-    "and the guard of the robot are ours.",
+    "sweeps of one direction are compared while the probe stands, one admissible entry point "
+    "starts the track, the filter works in the probe's frame, eq. 25 alone moves the probe and its "
+    "command is held between volumes, nothing checks a measurement, and a lost needle is not found "
+    "again. The force law and the guard of the robot are ours.",
     "Where the paper is silent, the choice was made with figs. 4 to 6 on seeds from 100 on, or is "
     "that of our method. Detection: 5 mm3 of candidates, tau (27 mm)^2, delta 10 mm; the faces "
     "are those of the swept sector (PublishedDetectionParameters). Localization: 400 mm3 of "

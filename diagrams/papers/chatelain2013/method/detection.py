@@ -51,6 +51,8 @@ def detect_as_published(
     Eq. 1 gives the voxels whose absolute difference is at least T_t, the order statistic that fixes
     their number. Their variance must be below tau. The geometric median (eq. 2) is projected on the
     closest face of the volume's boundary. The entry point counts if it is closer than delta.
+    Volumes between which the probe moved by more than a voxel are not compared, as the paper's
+    difference holds for a static probe only; ours lands on the phantom first.
 
     Parameters
     ----------
@@ -66,6 +68,8 @@ def detect_as_published(
     """
     if volume.intensities.shape != previous.intensities.shape:
         return NotFound("the previous volume lies on another grid")
+    if _moved(volume, previous) > float(volume.spacing.max()):
+        return NotFound("the probe moved between the volumes")
     count = max(4, round(parameters.candidate_volume / float(np.prod(volume.spacing))))
     # Sweeps to and fro see slightly unlike sectors; only voxels that both show are compared.
     seen = volume.seen, previous.seen
@@ -84,3 +88,11 @@ def detect_as_published(
     p_W, _ = volume.at_once().to_world(np.stack([entry, median]))
     change = threshold * volume.decibels_per_level
     return InsertionDetection(p_W[0], p_W[1], p_W[1], std, change, volume.time)
+
+
+def _moved(volume: Volume, previous: Volume) -> float:
+    """Return the farthest that a corner of the volume's grid moved with the probe, in m."""
+    corners = np.stack(np.meshgrid(*zip(volume.origin, volume.upper, strict=True)), axis=-1)
+    p_P = corners.reshape(-1, 3).T
+    apart = volume.X_WP.multiply(p_P) - previous.X_WP.multiply(p_P)
+    return float(np.linalg.norm(apart, axis=0).max())
