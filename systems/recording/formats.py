@@ -10,6 +10,7 @@ from sonoservo.systems.files.volume_file import VolumeFile
 from sonoservo.systems.recording.dicom import open_dicom
 from sonoservo.systems.recording.extras import require_extra
 from sonoservo.systems.recording.meta_image import open_meta_image
+from sonoservo.systems.recording.nifti import open_nifti
 from sonoservo.systems.recording.png_folder import open_png_folder
 from sonoservo.systems.recording.tus_rec import open_tus_rec
 from sonoservo.systems.recording.zea import open_zea
@@ -43,6 +44,8 @@ FORMATS: dict[str, Callable[..., VolumeFile]] = {
     ".h5": open_hdf5,
     ".hdf5": open_hdf5,
     ".dcm": open_dicom,
+    ".nii": open_nifti,
+    ".nii.gz": open_nifti,
 }
 """Openers of files, called with a path and ``frames``; a folder holds PNG images."""
 
@@ -73,8 +76,9 @@ def open_file(path: Path, *, frames: bool = False, orientation: str = "") -> Vol
         raise ConfigurationError(f"{path}: there is no such file")
     if path.stat().st_size == 0:
         raise ConfigurationError(f"{path}: it is empty")
-    if path.suffix.lower() not in FORMATS:
+    suffix = ".nii.gz" if path.name.lower().endswith(".nii.gz") else path.suffix.lower()
+    if suffix not in FORMATS:
         raise ConfigurationError(
             f"{path}: this file type is not supported; use {', '.join(FORMATS)}"
         )
-    return as_plus_means(FORMATS[path.suffix.lower()](path, frames=frames), orientation)
+    return as_plus_means(FORMATS[suffix](path, frames=frames), orientation)

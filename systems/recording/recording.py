@@ -50,7 +50,7 @@ class Recording:
     Parameters
     ----------
     path
-        Path of a ``.nrrd``, ``.nhdr``, ``.mha`` or ``.mhd`` file with one volume or a sequence.
+        Path of a file of one of the `FORMATS`, with one volume or a sequence.
     depth
         Direction of the sound in the file's space, as an anatomical letter (`make_file_grid`).
     window

@@ -88,6 +88,11 @@ class Address:
         """Host and port of the socket."""
         return (self.host or "127.0.0.1", self.port)
 
+    @property
+    def file_name(self) -> str:
+        """Name for files about what comes from it."""
+        return f"{self.host.replace(':', '_') or 'localhost'}_{self.port}"
+
     def __str__(self) -> str:
         host = f"[{self.host}]" if ":" in self.host else self.host
         return f"{self.scheme}://{host}:{self.port}"
