@@ -17,13 +17,7 @@ from sonoservo.systems.recording.zea import open_zea
 
 
 def open_hdf5(path: Path, *, frames: bool = False) -> VolumeFile:
-    """Open an HDF5 file of TUS-REC or of zea.
-
-    Raises
-    ------
-    ConfigurationError
-        If it is neither; the message names the file and the fault.
-    """
+    """Open an HDF5 file of TUS-REC or of zea."""
     h5py = require_extra("h5py", "hdf5", path)
     with refusing_failures(path, "it is no HDF5 file"), h5py.File(path, "r") as file:
         names = set(file)
@@ -51,22 +45,7 @@ FORMATS: dict[str, Callable[..., VolumeFile]] = {
 
 
 def open_file(path: Path, *, frames: bool = False, orientation: str = "") -> VolumeFile:
-    """Open a file according to its suffix, with the axes that PLUS's fields give it.
-
-    Parameters
-    ----------
-    path
-        Path of the file.
-    frames
-        Whether 2D frames are wanted, rather than volumes.
-    orientation
-        Orientation of its images (`as_plus_means`) if the file does not state it.
-
-    Raises
-    ------
-    ConfigurationError
-        If the file is not valid; the message names the file and the fault.
-    """
+    """Open a file of volumes, or of 2D ``frames``, by its suffix, with the axes that PLUS means."""
     what = "2D frames" if frames else "volumes"
     if path.is_dir() and any(path.glob("*.[pP][nN][gG]")):
         return as_plus_means(open_png_folder(path, frames=frames), orientation)

@@ -26,11 +26,6 @@ def open_nifti(path: Path, *, frames: bool = False) -> VolumeFile:
 
     Its coordinates, RAS, become LPS in mm. Times follow from the fourth spacing if its unit is one
     of time.
-
-    Raises
-    ------
-    ConfigurationError
-        If the file is not valid; the message names the file and the fault.
     """
     import nibabel  # late, as it takes a while
 

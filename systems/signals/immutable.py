@@ -76,10 +76,7 @@ def seal(array: Array) -> Array:
 
 
 def own(array: NDArray[Any]) -> NDArray[Any]:
-    """Return a read-only view of a sealed array, or of a copy of any other array.
-
-    Only the read-only flags are checked. A view taken before the array was sealed goes unnoticed.
-    """
+    """Return a read-only view of a sealed array, or of a copy of any other array."""
     owner: Any = array
     while isinstance(owner, np.ndarray) and not owner.flags.writeable:
         owner = owner.base

@@ -32,31 +32,9 @@ def record_live(
     after_volume: Callable[[int], None] | None = None,
     say: Callable[[str], None] = print,
 ) -> dict[str, Any]:
-    """Record the volumes of a live connection, until a limit or an interruption.
+    """Record a live connection to a file until a limit or an interruption.
 
-    Parameters
-    ----------
-    source
-        Source of the volumes; it should keep `QUEUE` of them.
-    path
-        Path of the recording, ``NAME.seq.nrrd``, which is valid even after an interruption, or
-        ``NAME.hdf5`` for a file of zea.
-    limits
-        Conditions under which the recording ends by itself.
-    after_volume
-        Function called after every volume with its number.
-    say
-        Function called with each line of text for the user.
-
-    Returns
-    -------
-    Summary of the recording: its path, the numbers of volumes recorded, dropped and left out (with
-    the reasons), and whether it was interrupted.
-
-    Raises
-    ------
-    ValueError
-        If the path has another suffix.
+    The file is valid even then. The source should keep `QUEUE` volumes. Returns the summary.
     """
     writer: RecordingWriter | ZeaWriter | None = None
     count, interrupted = 0, False
@@ -98,24 +76,8 @@ def play_live(
 ) -> dict[str, Any]:
     """Send recorded volumes as a scanner would, to the end or until an interruption.
 
-    Parameters
-    ----------
-    recording
-        Recording to play.
-    link
-        Connection to send to.
-    speed
-        Speed relative to the recording's own. At 0, volumes are sent as fast as the slowest peer
-        takes them, and none is dropped on the way.
-    name
-        Device name of the images.
-    after_volume
-        Function called after every volume with its number.
-
-    Returns
-    -------
-    Summary: the recording, the numbers of volumes sent and dropped, the number of peers, and
-    whether playing was interrupted.
+    The speed is relative to the recording's own; at 0, each waits for the slowest peer, and none is
+    dropped. Returns the summary.
     """
     require_not_negative(speed=speed)
     started = time.perf_counter()

@@ -35,25 +35,7 @@ _POLL = 0.05
 def live_senders(
     link: Link, scenario: Scenario, names: NeedleNames | None = None
 ) -> dict[str, System]:
-    """Return systems that send all data of a scenario, as observers of a `FollowingExperiment`.
-
-    They send the volumes, the frames as acquired, the two slices through the needle, the probe's
-    pose, the estimate and the truth, each at its own rate.
-
-    Parameters
-    ----------
-    link
-        Connection to send to.
-    scenario
-        Scenario of the run.
-    names
-        Device names of the estimate.
-
-    Raises
-    ------
-    ConfigurationError
-        If the scenario is not one of following.
-    """
+    """Return systems that send volumes, frames, slices, pose, estimate and truth of a scenario."""
     scenario = require_scenario(scenario, FollowingScenario)
     period, offset = observer_events(scenario).values()
     frames = sweep_geometry(load_transducer(scenario.probe), scenario.imaging).frame_period
@@ -71,17 +53,7 @@ def live_senders(
 
 @contextmanager
 def opened(address: str, say: Callable[[str], None], *, wait_for: int = 0) -> Iterator[Link]:
-    """Open a connection to send to; on exit, wait at most 1 s for queued messages to be sent.
-
-    Parameters
-    ----------
-    address
-        Address of the connection; see `parse_address`.
-    say
-        Function called with each line of text about the connection.
-    wait_for
-        Number of peers that must be connected before it is used.
-    """
+    """Open a connection and wait for so many peers; on exit, queued messages get 1 s to be sent."""
     with Link(parse_address(address), report=say) as link:
         if link.address.listens:
             host, _ = link.address.bound
@@ -105,13 +77,7 @@ def serving(
 
 
 def needle_names(changes: Sequence[str], *, points: bool = False) -> NeedleNames:
-    """Return the device names of estimates, changed by texts such as ``tip=MyNeedle``.
-
-    Raises
-    ------
-    ConfigurationError
-        If a change is not allowed; the message names it.
-    """
+    """Return the device names of estimates, changed by texts such as ``tip=MyNeedle``."""
     names = NeedleNames(points=points)
     for change in changes:
         field, equals, name = change.partition("=")

@@ -83,35 +83,9 @@ def track_live(
 ) -> dict[str, Any]:
     """Track a needle in the volumes of a live connection, until a limit or an interruption.
 
-    Parameters
-    ----------
-    source
-        Source of the volumes.
-    parameters
-        Parameters of the tracker, whose class selects it.
-    seed
-        Seed of every random choice; by default the one that a scanner of this package sends, or
-        else 0.
-    outlets
-        Connections to which the estimates are sent.
-    names
-        Device names of the estimates.
-    console
-        Console that shows the volumes, if any. Its pages may end the tracking.
-    out
-        Folder for estimates.csv, which grows line by line, and summary.json, written at the end.
-    limits
-        Conditions under which tracking ends by itself.
-    correct_poses
-        Whether to correct delay and calibration of the poses; see `PoseCorrector`.
-    after_volume
-        Function called after every volume with its number and the estimate.
-    say
-        Function called with each line of text for the user.
-
-    Returns
-    -------
-    Contents of summary.json.
+    Estimates go to the outlets under the devices' names. The folder gets estimates.csv, which grows
+    line by line, and summary.json, whose contents are returned. The seed is by default the one that
+    a scanner of this package sends, or else 0. The console's pages may end the tracking.
     """
     sent, started = names or NeedleNames(), time.perf_counter()
     modes, delays = ModeCount(), _Delays()

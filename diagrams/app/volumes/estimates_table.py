@@ -76,13 +76,7 @@ class ModeCount:
 
 
 class EstimatesTable:
-    """Writes rows as CSV, complete after every row; the cell of a missing number is empty.
-
-    Parameters
-    ----------
-    stream
-        Open text stream to write to.
-    """
+    """Writes rows as CSV, complete after every row; the cell of a missing number is empty."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
