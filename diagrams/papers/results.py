@@ -18,8 +18,13 @@ from pathlib import Path
 from typing import Any
 
 from sonoservo.diagrams.studies.records import read_records, write_records
-from sonoservo.diagrams.studies.study_report import Study, StudyRow, interval_text, rows_table
-from sonoservo.diagrams.studies.verdicts import summary_of
+from sonoservo.diagrams.studies.study_report import (
+    Study,
+    StudyRow,
+    interval_text,
+    rows_table,
+    summary_of,
+)
 from sonoservo.systems.evaluation.table import Table, cell_text
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.writing import write_atomically

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from sonoservo.diagrams.studies.following.analysis import Run, Volumes, pooled_runs
 from sonoservo.diagrams.studies.following.cases import AS_PUBLISHED
 from sonoservo.diagrams.studies.study import Outcome
-from sonoservo.diagrams.studies.study_report import StudyRow
-from sonoservo.diagrams.studies.verdicts import can_be_judged
+from sonoservo.diagrams.studies.study_report import StudyRow, can_be_judged
 from sonoservo.systems.evaluation.intervals import (
     count_interval,
     mean_interval,

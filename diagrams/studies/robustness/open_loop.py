@@ -13,7 +13,7 @@ from sonoservo.diagrams.experiments.following_scene import (
     tracker_events,
 )
 from sonoservo.diagrams.needle_tracker import MakeNeedleTracker
-from sonoservo.diagrams.seeds import draw_seeds
+from sonoservo.diagrams.scenario import draw_seeds
 from sonoservo.diagrams.studies.robustness.planned_motion import MotionPlan, PlannedMotion
 from sonoservo.diagrams.tracker_bench import MakeTrackerBench, log_of
 from sonoservo.diagrams.trackers.registry import TRACKERS
