@@ -77,8 +77,7 @@ class Estimated:
         R_PW = volume.X_WP.rotation().matrix().T
         return cls(
             number,
-            volume.to_probe(estimate.curve.tip),
-            volume.to_probe(estimate.curve.entry),
+            *volume.to_probe(estimate.curve.position([1.0, 0.0])),
             str(estimate.mode),
             estimate.time,
             estimate.probability,
