@@ -12,7 +12,8 @@ from sonoservo.diagrams.benchmark.entrants import sequence_name
 from sonoservo.diagrams.benchmark.scores import FIGURES
 from sonoservo.diagrams.benchmark.suites import load_suites
 from sonoservo.systems.evaluation.reports.plots import png
-from sonoservo.systems.evaluation.reports.web_page import picture, table, web_page
+from sonoservo.systems.evaluation.reports.web_page import picture, web_page
+from sonoservo.systems.evaluation.table import Table
 from sonoservo.systems.files.writing import write_atomically, write_json
 
 _WORST = 4
@@ -42,50 +43,40 @@ def write_benchmark(result: BenchmarkResult, folder: Path, command: str) -> None
     write_atomically(folder / "report.html", _page(result, folder, command))
 
 
+def benchmark_table(data: Mapping[str, Any], tracker: str = "") -> Table:
+    """Return the scores of all trackers over all suites, or of one tracker by suite."""
+    scored = {name: each for name, each in data["scores"].items() if ALL in each}
+    rows = scored[tracker] if tracker else {name: each[ALL] for name, each in scored.items()}
+    return Table(
+        ["suite" if tracker else "tracker", *FIGURES.values()],
+        [[name, *(row[each]["text"] for each in FIGURES)] for name, row in rows.items()],
+    )
+
+
 def benchmark_markdown(data: Mapping[str, Any]) -> str:
     """Return the scores as Markdown: all trackers over all suites, then each by suite."""
     lines = [f"Version {data['version']}, salt {data['salt']}, {data['sequences']} sequences, "
              f"{len(data['failed'])} failed. In brackets: 95 % intervals.", ""]  # fmt: skip
-    lines += _markdown("tracker", {name: each[ALL] for name, each in _scored(data).items()})
-    for name, each in _scored(data).items():
-        lines += ["", f"## {name}", "", *_markdown("suite", each)]
+    lines.append(benchmark_table(data).markdown())
+    for name in data["scores"]:
+        if data["scores"][name]:
+            lines += ["", f"## {name}", "", benchmark_table(data, name).markdown()]
     return "\n".join(lines) + "\n"
 
 
-def _scored(data: Mapping[str, Any]) -> dict[str, Any]:
-    return {name: each for name, each in data["scores"].items() if ALL in each}
-
-
-def _markdown(label: str, rows: Mapping[str, Any]) -> list[str]:
-    lines = [f"| {' | '.join([label, *FIGURES.values()])} |", "|---" * (len(FIGURES) + 1) + "|"]
-    return lines + [
-        f"| {' | '.join([name, *(row[each]['text'] for each in FIGURES)])} |"
-        for name, row in rows.items()
-    ]
-
-
-def _html(label: str, rows: Mapping[str, Any]) -> str:
-    return table(
-        [label, *map(html.escape, FIGURES.values())],
-        ([html.escape(name), *(html.escape(row[each]["text"]) for each in FIGURES)]
-         for name, row in rows.items()),
-    )  # fmt: skip
-
-
 def _page(result: BenchmarkResult, folder: Path, command: str) -> str:
-    data, lines = result.data, load_suites()
-    scored = _scored(data)
-    body = [f"<h2>All suites</h2>{_html('tracker', {n: each[ALL] for n, each in scored.items()})}"]
-    for name, each in scored.items():
-        body.append(f"<h2>{html.escape(name)}</h2>{_html('suite', each)}<h3>Worst cases</h3>")
-        body += [
-            _worst(result, folder, name, suite, seed) for suite, seed in worst_cases(data, name)
-        ]
+    data = result.data
+    body = [f"<h2>All suites</h2>{benchmark_table(data).html()}"]
+    for name, each in data["scores"].items():
+        if each:
+            table = benchmark_table(data, name).html()
+            body.append(f"<h2>{html.escape(name)}</h2>{table}<h3>Worst cases</h3>")
+            body += [_worst(folder, name, *case) for case in worst_cases(data, name)]
     body += [
         f"<p>{html.escape(each['suite'])}, seed {each['seed']}: {html.escape(each['error'])}</p>"
         for each in data["failed"]
     ]
-    body.append(table(["suite", ""], ([n, html.escape(each.line)] for n, each in lines.items())))
+    body.append(Table(["suite", ""], [[n, each.line] for n, each in load_suites().items()]).html())
     figures = {_CAPTION: png(plot_reliability(data["reliability"]))}
     facts = (
         f"{data['sequences']} sequences, salt {data['salt']}. <code>{html.escape(command)}</code>"

@@ -12,10 +12,14 @@ from pydrake.math import RigidTransform
 from sonoservo.diagrams.benchmark.estimates import Estimated, log_of_estimates
 from sonoservo.diagrams.studies.robustness.runs import as_in_probe
 from sonoservo.diagrams.studies.robustness.stated_doubt import inside_stated
+from sonoservo.systems.evaluation.intervals import (
+    Interval,
+    count_interval,
+    proportion_interval,
+    run_interval,
+)
 from sonoservo.systems.evaluation.metrics import MetricsParameters, detection
 from sonoservo.systems.evaluation.run_log import RunLog
-from sonoservo.systems.evaluation.statistics.intervals import Interval, proportion_interval
-from sonoservo.systems.evaluation.statistics.run_intervals import count_interval, run_interval
 from sonoservo.systems.evaluation.success import ENOUGH_MM, TrackedVolumes, from_needle
 from sonoservo.systems.signals.needle_estimate import TrackingMode
 

@@ -64,7 +64,7 @@ def benchmark_command(
     """
     from sonoservo.diagrams.benchmark.benchmark import BenchmarkOptions, run_benchmark
     from sonoservo.diagrams.benchmark.making import FORMATS, make_volumes
-    from sonoservo.diagrams.benchmark.report import benchmark_markdown, write_benchmark
+    from sonoservo.diagrams.benchmark.report import benchmark_table, write_benchmark
 
     names = trackers or ["chatelain2013", "brightest_line"]
     makes = names == [MAKE]
@@ -96,7 +96,7 @@ def benchmark_command(
         else:
             result = run_benchmark(names, options)
             write_benchmark(result, folder, shlex.join(["sonoservo", *sys.argv[1:]]))
-            console.print(benchmark_markdown(result.data), soft_wrap=True)
+            console.print(benchmark_table(result.data).terminal())
             say_report(folder)
             write_printed(json_path, result.data)
             failed = result.failed
