@@ -95,7 +95,8 @@ def load_factory(text: str) -> Callable[[], Any]:
         raise ConfigurationError(f"{text}: {type(error).__name__}: {error}") from error
     if not callable(found):
         raise ConfigurationError(f"{text}: {name} is not a function that makes a tracker")
-    return found  # type: ignore[no-any-return]
+    factory: Callable[[], Any] = found
+    return factory
 
 
 def start_tracker(entrant: Mapping[str, Any], seed: int) -> Step:

@@ -75,9 +75,11 @@ class Estimated:
             return cls(number, nowhere, nowhere, str(estimate.mode), None, probability, None,
                        process_ms)  # fmt: skip
         R_PW = volume.X_WP.rotation().matrix().T
+        tip, entry = volume.to_probe(estimate.curve.position([1.0, 0.0]))
         return cls(
             number,
-            *volume.to_probe(estimate.curve.position([1.0, 0.0])),
+            tip,
+            entry,
             str(estimate.mode),
             estimate.time,
             estimate.probability,

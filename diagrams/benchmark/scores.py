@@ -202,8 +202,9 @@ def _share(outcomes: Sequence[bool | None]) -> Score:
     counted = [each for each in outcomes if each is not None]
     if not counted:
         return Score(None, None, None, "–")
-    right, low_high = sum(counted), proportion_interval(sum(counted), len(counted))
-    return Score(right / len(counted), *low_high, f"{right} of {len(counted)}")
+    right = sum(counted)
+    low, high = proportion_interval(right, len(counted))
+    return Score(right / len(counted), low, high, f"{right} of {len(counted)}")
 
 
 def _figure(
@@ -213,11 +214,14 @@ def _figure(
         return Score(None, None, None, "–")
     value = scale * float(statistic(np.concatenate(runs)))
     low, high = (scale * end for end in run_interval(runs, statistic))
-    known = [each if np.isfinite(each) else None for each in (value, low, high)]
     text = _digits(value)
     if np.isfinite(low) or np.isfinite(high):
         text += f" ({_digits(low)} to {_digits(high)})"
-    return Score(*known, text)
+    return Score(_known(value), _known(low), _known(high), text)
+
+
+def _known(value: float) -> float | None:
+    return value if np.isfinite(value) else None
 
 
 def _digits(value: float) -> str:

@@ -52,7 +52,7 @@ _STOPPED = 5.0
 _LARGEST = np.array([20, 20, 1.6, 30, 30, 20, 1, 1, 60, 60], np.float32)
 
 
-class FollowNeedle(DrakeGymEnv):  # type: ignore[misc]
+class FollowNeedle(DrakeGymEnv):
     """A robot presses a probe on a phantom while a needle is pushed in; the agent moves the probe.
 
     An action is four numbers from -1 to 1: the velocity of the probe in its image's plane (v_x, v_z
@@ -125,7 +125,7 @@ class FollowNeedle(DrakeGymEnv):  # type: ignore[misc]
             reset_handler=self._land,
         )
         self.render_mode = render_mode
-        self.metadata = type(self).metadata
+        vars(self).pop("metadata", None)  # that of the base class, which shows by itself
         self.info_handler = lambda simulator: self._info(simulator.get_context())
 
     def _load(self, changes: Sequence[str], seed: int) -> FollowingScenario:
@@ -190,7 +190,7 @@ class FollowNeedle(DrakeGymEnv):  # type: ignore[misc]
         """Command for one volume; see `gymnasium.Env.step`."""
         observation, reward, _, truncated, info = super().step(action)
         if not truncated:
-            self._end = self._judge(self.simulator.get_context())
+            self._end = self._judge(self.experiment.simulator.get_context())
             info["end"] = self._end
         return observation, float(reward), bool(self._end), truncated, info
 
