@@ -15,6 +15,7 @@ from typing import Annotated
 import typer
 from typer.main import get_command
 
+from sonoservo.diagrams.app.commands.benchmark import benchmark_command
 from sonoservo.diagrams.app.commands.results import (
     compare_command,
     explain_command,
@@ -284,6 +285,7 @@ _COMMANDS = (
     calibrate_command,
     dataset_command,
     reproduce_command,
+    benchmark_command,
 )
 for _command in _COMMANDS:
     app.command(_command.__name__.removesuffix("_command"))(with_common_options(_command))

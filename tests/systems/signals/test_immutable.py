@@ -89,7 +89,7 @@ def test_a_wrong_value_on_a_wire_is_caught_where_it_enters():
         def __init__(self):
             super().__init__()
             self.set_name("reader")
-            self.DeclareAbstractInputPort("curve", Value[object](None))
+            self.DeclareAbstractInputPort("curve", Value[object]())
 
     reader = Reader()
     context = reader.CreateDefaultContext()
