@@ -46,25 +46,14 @@ def detect_as_published(
     previous: Volume,
     parameters: PublishedDetectionParameters,
 ) -> InsertionDetection | NotFound:
-    """Detect an insertion exactly as Chatelain 2013, section II-B describes it.
+    """Detect an insertion as Chatelain 2013, section II-B describes it, or say why there is none.
 
     Eq. 1 gives the voxels whose absolute difference is at least T_t, the order statistic that fixes
     their number. Their variance must be below tau. The geometric median (eq. 2) is projected on the
-    closest face of the volume's boundary. The entry point counts if it is closer than delta.
-    Volumes between which the probe moved by more than a voxel are not compared, as the paper's
-    difference holds for a static probe only; ours lands on the phantom first.
-
-    Parameters
-    ----------
-    volume, previous
-        Consecutive volumes on the same grid.
-    parameters
-        Thresholds.
-
-    Returns
-    -------
-    The detection in W, or a `NotFound` with the reason why there is none. The tip of the detection
-    is the median, as the paper does not estimate one.
+    closest face of the volume's boundary. The entry point counts if it is closer than delta. The
+    tip of the detection is the median, as the paper does not estimate one. Volumes between which
+    the probe moved by more than a voxel are not compared, as the paper's difference holds for a
+    static probe only; ours lands on the phantom first.
     """
     if volume.intensities.shape != previous.intensities.shape:
         return NotFound("the previous volume lies on another grid")
