@@ -238,22 +238,8 @@ class TrackerBench:
         """Return the pose of a frame L of the newest volume, corrected as its poses are."""
         if not self.corrects_poses:
             return X_WL
-        return corrected_frame(self._tracker, self._own, volume, X_WL)
-
-
-def corrected_frame(
-    tracker: System, context: Context, volume: Volume, X_WL: RigidTransform
-) -> RigidTransform:
-    """Return the pose of a frame L after a tracker has corrected the poses of a volume."""
-    corrected: Volume = tracker.GetOutputPort("corrected_volume").Eval(context)
-    return corrected.X_WP.multiply(volume.X_WP.inverse()).multiply(X_WL)
-
-
-def track_volume(tracker: System, context: Context, volume: Volume) -> NeedleEstimate:
-    """Give a tracker its next volume, outside a simulation, and return the estimate."""
-    tracker.GetInputPort("volume").FixValue(context, Value[object](volume))
-    tracker.ExecuteForcedEvents(context)
-    return cast(NeedleEstimate, tracker.GetOutputPort("estimate").Eval(context))
+        corrected: Volume = self.evaluate("corrected_volume")
+        return corrected.X_WP.multiply(volume.X_WP.inverse()).multiply(X_WL)
 
 
 def track(

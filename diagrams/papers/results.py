@@ -81,6 +81,7 @@ def keep_results(studies: Sequence[Study], command: str) -> None:
     for each in studies:
         write_records(_folder(each.paper) / RECORDS, each.outcomes, command)
         (_folder(each.paper) / OLD).unlink(missing_ok=True)
+    kept_results.cache_clear()
     write_tables()
 
 
