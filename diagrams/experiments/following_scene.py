@@ -1,4 +1,4 @@
-"""What surrounds a run of following: its scene, the times of its volumes, and its sources."""
+"""Surroundings of a run of following: its scene, the times of its volumes, and its sources."""
 
 from typing import TYPE_CHECKING, Any
 

@@ -111,7 +111,7 @@ class DrawnScanner:
 
     @property
     def acoustic_geometry(self) -> SweepGeometry:
-        """Where the samples really lie in tissue with another speed of sound."""
+        """Geometry of the samples as they lie in tissue with another speed of sound."""
         speed = self.tissue.sound_speed or self.imaging.sound_speed
         pitch = self.geometry.sample_pitch * (speed / self.imaging.sound_speed)
         return replace(self.geometry, sample_pitch=pitch, sound_speed=speed)

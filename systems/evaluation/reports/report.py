@@ -31,7 +31,7 @@ class Change:
 
 @dataclass(frozen=True, kw_only=True)
 class Story:
-    """What a report tells besides figures and plots.
+    """Content of a report besides figures and plots.
 
     `verdict`: verdict on the run; `scenario`: sentences that describe the scenario; `base`: what
     the scenario is compared with; `changes`: fields in which it differs from that; `command`:
