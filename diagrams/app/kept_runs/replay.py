@@ -86,7 +86,7 @@ class Replay:
         )  # fmt: skip
         controls.offer([slider])
         controls.offer_buttons("pause", "step", "stop", speed=1.0)
-        absent = ["planes", "cine", *([] if self.frames else ["slices"])]
+        absent = ["planes", "cine", "probability", *([] if self.frames else ["slices"])]
         console.say(without=[*absent, *([] if console.facts["world"] else ["world"])])
         position, paused, last = 0.0, False, clock()
         shown = self._show(console, -math.inf, position, paused)
