@@ -30,18 +30,10 @@ _NEXT = np.uint64(1)
 def tabulate_shifts(shifts, sector, x, y, z, poses):  # type: ignore[no-untyped-def]
     """Tabulate how far the motion of the probe moves points in its image.
 
-    Parameters
-    ----------
-    shifts
-        (mx, my, 3, mz) float32 changes of step, line and distance, written; see `project`.
-    sector
-        Positions of the lines.
-    x, y, z
-        Float32 coordinates of the table's nodes, in m, with the origin on the motor's axis.
-    poses
-        (n, 12) float32 rows of 3 x 4 matrices, from the frame of the volume to that of the probe at
-        the time, both with the origin on the motor's axis; `POSES_PER_FRAME` to a frame, from
-        `FRAMES_BEYOND` frames before the first one to as many after the last.
+    Written are (mx, my, 3, mz) float32 changes of step, line and distance (see `project`) at nodes
+    with float32 coordinates in m, with the origin on the motor's axis. Poses are (n, 12) rows of 3
+    x 4 matrices from the frame of the volume to that of the probe at the time, `POSES_PER_FRAME` to
+    a frame, from `FRAMES_BEYOND` frames before the first one to as many after the last.
     """
     for a in prange(len(x)):
         for b in range(len(y)):
@@ -60,18 +52,10 @@ def tabulate_shifts(shifts, sector, x, y, z, poses):  # type: ignore[no-untyped-
 def resample_moving(  # type: ignore[no-untyped-def]
     volume, rows, packed, beyond, corners, sector, x, distance, step, shifts, nodes, row
 ):
-    """Fill the part of a volume that the sweep of a moving probe covers.
+    """Fill the part of a volume that the sweep of a moving probe covers; see `resample`.
 
-    Parameters
-    ----------
-    volume, rows, packed, beyond, corners, sector, x, distance, step
-        See `resample`.
-    shifts
-        Table from `tabulate_shifts` with a node at every `NODE_STRIDE`-th element.
-    nodes
-        (nx, 3, mz) float32 memory for the shifts at the nodes along a row, overwritten.
-    row
-        (nx, 3, mz `NODE_STRIDE`) float32 memory for the shifts of a row of elements, overwritten.
+    ``shifts`` has a node at every `NODE_STRIDE`-th element; nodes and row are float32 memory for
+    those along a row, (nx, 3, mz) and (nx, 3, mz `NODE_STRIDE`).
     """
     share = _ONE / np.float32(NODE_STRIDE)
     for a in prange(volume.shape[0]):

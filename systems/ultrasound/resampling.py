@@ -64,21 +64,11 @@ class Corners(NamedTuple):
 def pack_corners(
     samples: NDArray[np.uint8], first: tuple[int, ...], last: tuple[int, ...]
 ) -> tuple[NDArray[np.uint32], NDArray[np.uint32], Corners]:
-    """Pack the samples of a sweep, each with its neighbours.
+    """Pack samples, each with its neighbours, from the first cell to the last.
 
-    Parameters
-    ----------
-    samples
-        (frames, lines, samples) log-compressed samples.
-    first, last
-        Frame, line and sample at which the first and the last cell begin.
-
-    Returns
-    -------
-    packed, beyond, corners
-        Packed samples, a view of them from the second frame on, and their layout. The bytes of a
-        number are, lowest first: the sample, the next one on its line, the sample on the next line,
-        and the one after that.
+    Returned are the packed samples, a view of them from the second frame on, and their layout. The
+    bytes of a number are, lowest first: the sample, the next one on its line, the sample on the
+    next line, and the one after that.
     """
     frames, lines, line_stride = (b - a + 1 for a, b in zip(first, last, strict=True))
     # A frame's stride must not be a multiple of the page: neighbours would evict one another from
@@ -115,24 +105,12 @@ def _pack(packed, corners, samples):  # type: ignore[no-untyped-def]
 def rows_in_sector(
     sector: Sector, margin: ArrayLike, x: Floats, y: Floats, z: Floats
 ) -> NDArray[np.int32]:
-    """Return the elements of each row along Z that may lie in the sector; the others are skipped.
+    """Return the elements of each row along Z that may lie in the sector, as (nx, ny, 2, 2).
 
-    Parameters
-    ----------
-    sector
-        Positions of the samples.
-    margin
-        (3,) distances along X, Y and Z, in m, by which elements may be displaced before they are
-        looked up; one number stands for all three.
-    x, y, z
-        Coordinates of the grid's elements, in m, with the origin on the motor's axis.
-
-    Returns
-    -------
-    (nx, ny, 2, 2) array with the first element and the one after the last, for the two parts of
-    each row. The parts lie on either side of a gap in the middle, which the lines do not reach or
-    the probe occupies. Both numbers are equal for rows outside the sector, and for the second part
-    of rows without a gap.
+    It has the first element and the one after the last of the two parts of each row, which lie on
+    either side of a gap that the lines do not reach or the probe occupies; both are equal for what
+    is empty. Elements may be displaced by up to the margin, (3,) or one number in m, before they
+    are looked up. Coordinates are in m, with the origin on the motor's axis.
     """
     beside, above, along = np.broadcast_to(np.asarray(margin, dtype=float), (3,))
     x, y = np.abs(x[:, np.newaxis]), y[np.newaxis]
@@ -169,21 +147,11 @@ def rows_in_sector(
 
 @njit(parallel=True, **OPTIONS)
 def resample(volume, rows, packed, beyond, corners, sector, x, distance, step):  # type: ignore[no-untyped-def]
-    """Fill the part of a volume that lies in the sector.
+    """Fill the part of a (nx, ny, nz) uint8 volume of zeros that lies in the sector.
 
-    Parameters
-    ----------
-    volume
-        (nx, ny, nz) uint8 zeros, overwritten inside the sector.
-    rows
-        Elements to fill; see `rows_in_sector`.
-    packed, beyond, corners, sector
-        Packed samples and their layout (`pack_corners`), and the positions of the lines.
-    x
-        (nx,) float32 coordinates of the elements, in m.
-    distance, step
-        (ny, nz) float32 distances q from the array's centre of curvature within the plane of the
-        line, in m, and steps of the motor from the middle.
+    Rows are those of `rows_in_sector`, packed samples those of `pack_corners`; x are (nx,) float32
+    coordinates in m, and distance and step (ny, nz) float32 distances q from the array's centre of
+    curvature within the plane of the line in m, and steps of the motor from the middle.
     """
     for a in prange(volume.shape[0]):
         for b in range(volume.shape[1]):

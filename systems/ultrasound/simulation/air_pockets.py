@@ -46,17 +46,6 @@ class AirPockets:
     The field is Gaussian with the correlation exp(-d^2 / 2 size^2 - t^2 / 2 period^2) over a
     distance d and a time t. No sound passes the air, which acoustically is nearly a vacuum. What
     arrives at the focus, and returns from it, is the sum over the open part of either aperture.
-
-    Parameters
-    ----------
-    parameters
-        Parameters of the air.
-    transducer, imaging
-        Hardware of the probe, and settings of the scanner.
-    geometry
-        Geometry of the sweeps.
-    rng
-        Generator of the field.
     """
 
     def __init__(
@@ -98,19 +87,7 @@ class AirPockets:
         return shares
 
     def air(self, times: NDArray[np.float64], part: slice = slice(None)) -> NDArray[np.bool_]:
-        """Return where air lies.
-
-        Parameters
-        ----------
-        times
-            (n,) times of the frames, in s.
-        part
-            Frames of the sweep that they are; by default, all.
-
-        Returns
-        -------
-        (n, elevations, elements) True under air, at places across the height of each element.
-        """
+        """Return True under air, (n, elevations, elements), at (n,) times in s of frames."""
         geometry = self._geometry
         swept = geometry.motor_radius * geometry.frame_pitch * _centred(geometry.frames)
         places = swept[part, np.newaxis] + self._height / _ELEVATIONS * _centred(_ELEVATIONS)

@@ -15,10 +15,15 @@ from sonoservo.systems.ultrasound.simulation.air_pockets import AirPockets
 from sonoservo.systems.ultrasound.simulation.haze import gain_errors, speckle_field
 from sonoservo.systems.ultrasound.simulation.kernels.bright_echo import render_points
 from sonoservo.systems.ultrasound.simulation.kernels.displacement import Displacements
-from sonoservo.systems.ultrasound.simulation.kernels.echo import FADE, render_tissue
+from sonoservo.systems.ultrasound.simulation.kernels.echo import (
+    FADE,
+    Scattering,
+    render_tissue,
+)
 from sonoservo.systems.ultrasound.simulation.kernels.image_formation import form_image
 from sonoservo.systems.ultrasound.simulation.kernels.layers import expand_gains
 from sonoservo.systems.ultrasound.simulation.kernels.line_blur import line_kernel
+from sonoservo.systems.ultrasound.simulation.kernels.medium import Sights
 from sonoservo.systems.ultrasound.simulation.kernels.surface_echo import render_surfaces
 from sonoservo.systems.ultrasound.simulation.needles.needle_echo import NeedleEchoParameters
 from sonoservo.systems.ultrasound.simulation.needles.needle_renderer import (
@@ -27,9 +32,9 @@ from sonoservo.systems.ultrasound.simulation.needles.needle_renderer import (
 )
 from sonoservo.systems.ultrasound.simulation.pulses import PulseTables
 from sonoservo.systems.ultrasound.simulation.rays import (
-    depth_tables,
     frame_poses,
     line_rays,
+    line_widths,
     projection_rays,
 )
 from sonoservo.systems.ultrasound.simulation.reaction.deformation import Deformation, displacements
@@ -99,21 +104,8 @@ def _identical(these: Sequence[object], those: Sequence[object]) -> bool:
 class FrameRenderer:
     """Renders frames of one transducer over one tissue; see `SweepRenderer` for what it models.
 
-    It has no state, so threads may share it.
-
-    Parameters
-    ----------
-    transducer, imaging, tissue, parameters, seed
-        See `SweepRenderer`.
-
-    Attributes
-    ----------
-    geometry
-        Geometry of the sweeps.
-    acoustic
-        The same, with lengths in the tissue, which has a speed of sound of its own.
-    beam
-        Widths of the point spread function.
+    It has no state, so threads may share it. ``acoustic`` is the geometry with lengths in the
+    tissue, which has a speed of sound of its own.
     """
 
     def __init__(
@@ -141,10 +133,8 @@ class FrameRenderer:
         depths = geometry.sample_pitch * np.arange(geometry.samples)
         cell = self.beam.resolution_cell
         reference = int(np.abs(depths - transducer.lens_focus).argmin())
-        self._tables, line_sigma = depth_tables(self.beam, geometry, reference)
-        self._kernel = line_kernel(line_sigma, geometry.lines)
         density = tissue.scatterers_per_cell * (1 + FADE) / (2**1.5 * cell.min())
-        self._tile = scatterer_tile(density, np.random.default_rng(tissue.seed))
+        tile = scatterer_tile(density, np.random.default_rng(tissue.seed))
         self._inclusions = inclusion_points(tissue, self.beam, reference)
         pulses = PulseTables(self.beam, geometry.sample_pitch)
 
@@ -166,7 +156,6 @@ class FrameRenderer:
         # With this amplitude, mean intensity 1 (0 dB) is that of the tissue at every depth.
         amplitude = np.sqrt(2**1.5 / (tissue.scatterers_per_cell * (1 - FADE / 3)))
         amplitude *= 10 ** (tissue.level_db / 20)
-        self._tissue_pulse = np.repeat(pulses.tabulate([amplitude], [0.0])[:, ::2], 2, axis=1)
         self._point_pulse = pulses.tabulate([1.0], [0.0])
         self._scene = Scene(
             tissue,
@@ -174,9 +163,16 @@ class FrameRenderer:
             geometry=geometry,
             reference=reference,
             pulses=pulses,
-            block_size=self._tile.block_size,
+            block_size=tile.block_size,
             sound_speed=sound_speed,
             frequency=imaging.transmit_frequency,
+        )
+        self._scattering = Scattering(
+            box=self._box,
+            tile=tile,
+            regions=self._scene.regions,
+            pulse=np.repeat(pulses.tabulate([amplitude], [0.0])[:, ::2], 2, axis=1),
+            kernel=line_kernel(line_widths(geometry, self.beam), geometry.lines),
         )
         loss_db = 2 * tissue.attenuation * 1e-6 * imaging.transmit_frequency * 1e2 * depths
         self._noise = (10 ** ((parameters.noise_db + loss_db) / 20)).astype(np.float32)
@@ -193,7 +189,9 @@ class FrameRenderer:
         air = parameters.air_pockets
         self._air = AirPockets(air, transducer, imaging, self.geometry, rng)
         self._lines = {direction: line_rays(geometry, direction) for direction in (1, -1)}
-        self._rays = {d: projection_rays(geometry, self.beam, d, pulses.lead) for d in (1, -1)}
+        self._rays = {
+            d: projection_rays(geometry, self.beam, d, pulses.lead, reference) for d in (1, -1)
+        }
 
     @property
     def varies(self) -> bool:
@@ -203,40 +201,30 @@ class FrameRenderer:
     def add_tissue(
         self, iq: NDArray[np.complex64], frames: Frames, field: Displacements
     ) -> FrameViews:
-        """Render everything except the moving needle.
+        """Write everything except the moving needle to (n, lines, samples) echoes.
 
-        Parameters
-        ----------
-        iq
-            (n, lines, samples) echoes, written.
-        frames
-            Frames to render.
-        field
-            Displacements of the tissue in them.
-
-        Returns
-        -------
-        The views needed for the needle's echo.
+        ``field`` is the displacements of the tissue in the frames. Returned are the views needed
+        for the needle's echo.
         """
         X_FT = frame_poses(self.acoustic, frames.X_TP, frames.part)
-        rays, scene, tables = self._rays[frames.direction], self._scene, self._tables
+        rays, scene = self._rays[frames.direction], self._scene
         times = frames.times
         view, gains, nodes_per_metre = scene.view(X_FT, float(rays.twist))
-        medium = (self._tissue_pulse, self._kernel, scene.regions, scene.lumens(times), view, field)
-        render_tissue(iq, X_FT, self._box, self._tile, rays, tables, *medium)
+        sights = Sights(X_FT, field, view)
+        render_tissue(iq, sights, rays, self._scattering, scene.lumens(times))
         if len(self._inclusions[0]):
-            points = (*self._inclusions, rays, tables, self._point_pulse, view, field)
-            render_points(iq, X_FT, *points)
+            render_points(iq, sights, rays, *self._inclusions, self._point_pulse)
         transmission = np.empty((0, 0, 0), np.float32)
         if scene.pieces is not None:
             transmission = np.ones(iq.shape, np.float32)
+            weakened = gains is not None
             if gains is not None:
                 expand_gains(transmission, gains, nodes_per_metre * self.acoustic.sample_pitch)
-            parts = (scene.pieces, scene.growth(times), rays, tables, scene.pulses, scene.widths)
-            render_surfaces(iq, transmission, X_FT, *parts, view, field, gains is not None)
-        views = FrameViews(X_FT, rays, tables, view, transmission, times)
+            growth = scene.growth(times)
+            render_surfaces(iq, transmission, sights, rays, scene.pieces, growth, weakened)
+        views = FrameViews(sights, rays, transmission, times)
         for needle, renderer in self._resting:
-            renderer.add_resting(iq, needle, field, views)
+            renderer.add_resting(iq, needle, views)
         return views
 
     def add_needle(self, iq: NDArray[np.complex64], frames: Frames, views: FrameViews) -> None:
@@ -259,28 +247,16 @@ class FrameRenderer:
         amplitudes: NDArray[np.complex128],
     ) -> None:
         """Add the echoes of point scatterers, in place; see `SweepRenderer.add_scatterers`."""
-        X_FT, rays = (
-            frame_poses(self.acoustic, frames.X_TP, frames.part),
-            self._rays[frames.direction],
-        )
+        rays = self._rays[frames.direction]
+        X_FT = frame_poses(self.acoustic, frames.X_TP, frames.part)
         view, *_ = self._scene.view(X_FT, float(rays.twist))
-        beams = (rays, self._tables, self._point_pulse, view, displacements(None))
-        render_points(iq, X_FT, points, amplitudes, *beams)
+        sights = Sights(X_FT, displacements(None), view)
+        render_points(iq, sights, rays, points, amplitudes, self._point_pulse)
 
     def grey_levels(
         self, iq: NDArray[np.complex64], frames: Frames, number: int
     ) -> NDArray[np.uint8]:
-        """Return the grey levels of echoes.
-
-        Parameters
-        ----------
-        iq
-            (n, lines, samples) echoes.
-        frames
-            Their frames.
-        number
-            Number of the sweep, which selects the noise.
-        """
+        """Return the grey levels of frames' echoes; the number of the sweep selects the noise."""
         grey = np.empty(iq.shape, np.uint8)
         origins, directions = self._lines[frames.direction]
         keys = np.random.SeedSequence([self._seed, number])

@@ -14,19 +14,10 @@ _SLIDERS = 8
 def speckle_field(
     geometry: SweepGeometry, beam: Beam, rng: np.random.Generator
 ) -> NDArray[np.complex64]:
-    """Return speckle with the beam's width at half depth, that belongs to the probe.
+    """Return (frames, lines, samples) speckle of mean intensity 1 that belongs to the probe.
 
-    Parameters
-    ----------
-    geometry, beam
-        Geometry of the sweeps, and the widths of the point spread function.
-    rng
-        Generator that draws the field.
-
-    Returns
-    -------
-    (frames, lines, samples) complex amplitudes of mean intensity 1. Fields that are shifted around
-    by a third of the lines are independent.
+    It has the beam's width at half depth; shifted around by a third of the lines, it is
+    independent.
     """
     middle = geometry.samples // 2
     depth = geometry.sample_pitch * middle

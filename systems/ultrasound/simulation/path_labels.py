@@ -34,19 +34,7 @@ def path_labels(
     sound_speed: float,
     frequency: float,
 ) -> PathLabels | None:
-    """Label the cubes in which attenuation or speed differ; return None if there are none.
-
-    Parameters
-    ----------
-    tissue
-        Tissue with its attenuation, box and fat.
-    grid, tubes
-        Labels in T or None, and lumens.
-    sound_speed
-        Speed of sound in plain tissue, in m/s.
-    frequency
-        Transmit frequency, in Hz.
-    """
+    """Label the cubes in which attenuation or speed differ; return None if there are none."""
     plain = tissue.attenuation
     properties = () if grid is None else grid.properties
     attenuations = [plain if p.attenuation is None else p.attenuation for p in properties]

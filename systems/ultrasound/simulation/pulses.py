@@ -14,19 +14,9 @@ _RING_DOWN_DECADES = 1.5
 
 
 class PulseTables:
-    """Pulses of one beam, sampled along a line.
+    """Pulses of one beam, sampled along a line with a pitch in m.
 
-    Parameters
-    ----------
-    beam
-        Point spread function.
-    pitch
-        Distance between samples, in m.
-
-    Attributes
-    ----------
-    lead
-        Number of samples from the beginning of a pulse to the one before its middle.
+    ``lead`` is the number of samples from the beginning of a pulse to the one before its middle.
     """
 
     def __init__(self, beam: Beam, pitch: float) -> None:
@@ -58,17 +48,7 @@ class PulseTables:
     def ring_down(
         self, level_db: float, length: float, depth: float, rng: np.random.Generator
     ) -> NDArray[np.float32]:
-        """Return the pulse of a noise-like reverberation behind an echo.
-
-        Parameters
-        ----------
-        level_db, length
-            See `SurfaceEcho`.
-        depth
-            Depth of the deepest sample, in m.
-        rng
-            Generator that draws the reverberation.
-        """
+        """Return the pulse of a noise-like reverberation behind an echo; see `SurfaceEcho`."""
         distances = np.arange(1, min(_RING_DOWN_DECADES * length, depth) / _RING_DOWN_STEP)
         distances = distances * _RING_DOWN_STEP
         # Echoes of random phase add up to this level on average.

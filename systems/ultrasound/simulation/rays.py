@@ -10,22 +10,18 @@ from sonoservo.systems.ultrasound.simulation.kernels.bright_echo import (
     SIDE_LOBE_WIDTH,
 )
 from sonoservo.systems.ultrasound.simulation.kernels.echo import FADE
-from sonoservo.systems.ultrasound.simulation.kernels.projection import DepthTables, Rays
+from sonoservo.systems.ultrasound.simulation.kernels.projection import Rays
 
 
-def projection_rays(geometry: SweepGeometry, beam: Beam, direction: int, lead: int) -> Rays:
-    """Return the quantities with which the kernels project scatterers onto the lines of a sweep.
+def projection_rays(
+    geometry: SweepGeometry, beam: Beam, direction: int, lead: int, reference: int
+) -> Rays:
+    """Return the quantities with which the kernels project points onto the lines of a sweep.
 
-    Parameters
-    ----------
-    geometry, beam
-        The sweep's geometry, and the widths of its point spread function.
-    direction
-        +1 for a sweep towards +Z, -1 towards -Z.
-    lead
-        Number of samples from the beginning of a pulse to the one before its middle.
+    Geometry has lengths in the tissue; levels of bright points hold at the sample ``reference``.
     """
     steps = geometry.frames * geometry.lines - 1
+    cell = beam.resolution_cell
     return Rays(
         array_radius=np.float32(geometry.array_radius),
         centre_offset=np.float32(geometry.array_radius - geometry.motor_radius),
@@ -37,23 +33,25 @@ def projection_rays(geometry: SweepGeometry, beam: Beam, direction: int, lead: i
         lead=lead,
         elevation_lobes=np.float32(ELEVATION_LOBES[0] * (beam.side_lobes > 0)),
         side_lobes=np.float32(beam.side_lobes / SIDE_LOBE_WIDTH),
+        elevation_precision=(0.5 / beam.elevation**2).astype(np.float32),
+        curvature=beam.curvature.astype(np.float32),
+        share=(cell.min() / cell / (1 + FADE)).astype(np.float32),
+        line_sigma=line_widths(geometry, beam).astype(np.float32),
+        bright=np.sqrt(cell[reference] / cell).astype(np.float32),
     )
+
+
+def line_widths(geometry: SweepGeometry, beam: Beam) -> NDArray[np.float64]:
+    """Return the beam's (samples,) lateral standard deviations, in lines."""
+    depths = geometry.sample_pitch * np.arange(geometry.samples)
+    radii = np.maximum(geometry.array_radius + depths, geometry.sample_pitch)
+    return beam.lateral / (geometry.line_pitch * radii)
 
 
 def frame_poses(
     geometry: SweepGeometry, X_TP: NDArray[np.float64], part: slice
 ) -> NDArray[np.float64]:
-    """Return the pose of the tissue in each frame's F, (n, 3, 4).
-
-    Parameters
-    ----------
-    geometry
-        Geometry of the sweep.
-    X_TP
-        (n, 4, 4) pose of the probe in the tissue at each frame's time.
-    part
-        Numbers of the n frames.
-    """
+    """Return (n, 3, 4) poses of the tissue in F, of (n, 4, 4) poses of the probe in the tissue."""
     theta = geometry.line_angles(1).mean(axis=1)[part]
     X_FP = np.zeros((len(theta), 4, 4))
     X_FP[:, 0, 0] = X_FP[:, 3, 3] = 1
@@ -67,46 +65,8 @@ def frame_poses(
 def line_rays(
     geometry: SweepGeometry, direction: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the origin on the face and the unit direction of every line, in P.
-
-    Parameters
-    ----------
-    geometry
-        Geometry of the sweep.
-    direction
-        +1 for a sweep towards +Z, -1 towards -Z.
-
-    Returns
-    -------
-    Two arrays (frames, lines, 3).
-    """
+    """Return (frames, lines, 3) origins on the face and unit directions of all lines, in P."""
     frames, lines, _ = np.ogrid[: geometry.frames, : geometry.lines, :1]
     start = geometry.position(frames, lines, 0, direction)[:, :, 0]
     along = geometry.position(frames, lines, 1, direction)[:, :, 0] - start
     return start, along / geometry.sample_pitch
-
-
-def depth_tables(
-    beam: Beam, geometry: SweepGeometry, reference: int
-) -> tuple[DepthTables, NDArray[np.float64]]:
-    """Return the depth tables, and the beam's (samples,) lateral standard deviation in lines.
-
-    Parameters
-    ----------
-    beam, geometry
-        Point spread function, and geometry of the sweeps with lengths in the tissue.
-    reference
-        Sample at which the levels of bright points hold.
-    """
-    depths = geometry.sample_pitch * np.arange(geometry.samples)
-    radii = np.maximum(geometry.array_radius + depths, geometry.sample_pitch)
-    line_sigma = beam.lateral / (geometry.line_pitch * radii)
-    cell = beam.resolution_cell
-    tables = DepthTables(
-        elevation_precision=(0.5 / beam.elevation**2).astype(np.float32),
-        curvature=beam.curvature.astype(np.float32),
-        share=(cell.min() / cell / (1 + FADE)).astype(np.float32),
-        line_sigma=line_sigma.astype(np.float32),
-        bright=np.sqrt(cell[reference] / cell).astype(np.float32),
-    )
-    return tables, line_sigma

@@ -204,16 +204,10 @@ class SweepRenderer:
         amplitudes: NDArray[np.complex128],
         direction: int,
     ) -> None:
-        """Add the echoes of point scatterers to `echo`'s, in place.
+        """Add point scatterers to `echo`'s samples, in place.
 
-        Parameters
-        ----------
-        iq
-            (frames, lines, samples) echoes.
-        X_TP, direction
-            See `tissue_echo`; the tissue is not deformed.
-        points, amplitudes
-            (n, 3) positions in T, in m, and (n,) amplitudes relative to the tissue's at the focus.
+        (n, 3) points are in T in m, (n,) amplitudes relative to the tissue's at the focus; the
+        tissue is not deformed.
         """
 
         def render(frames: Frames) -> None:
@@ -260,17 +254,10 @@ class SweepRenderer:
         return grey
 
     def begin(self, frames: Frames, number: int) -> None:
-        """Begin to render a group of frames in the background, for the sweep that will need it.
+        """Begin to render one of the `groups` of frames in the background, for a sweep.
 
         This does nothing without threads to spare (see `workers`), or if nobody has asked for the
         sweeps begun before.
-
-        Parameters
-        ----------
-        frames
-            Frames of one of the `groups`.
-        number
-            Number of the sweep.
         """
         pool, most = workers(), _SWEEPS_AHEAD * len(self.groups(frames.direction))
         if pool is not None and len(self._begun) < most:

@@ -30,15 +30,7 @@ class ScattererTile(NamedTuple):
 
 
 def scatterer_tile(density: float, rng: np.random.Generator) -> ScattererTile:
-    """Fill a tile with independent scatterers.
-
-    Parameters
-    ----------
-    density
-        Number of scatterers per m^3.
-    rng
-        Generator that draws their number, positions and ranks.
-    """
+    """Fill a tile with independent scatterers, ``density`` in a m^3."""
     block_size = min((_SCATTERERS_PER_BLOCK / density) ** (1 / 3), _MAX_BLOCK)
     counts = rng.poisson(density * block_size**3, BLOCKS**3)
     starts = np.concatenate([[0], np.cumsum(counts)])

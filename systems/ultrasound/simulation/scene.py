@@ -52,29 +52,8 @@ class _Pulse:
 class Scene:
     """Structures of a tissue, prepared for one beam.
 
-    Parameters
-    ----------
-    tissue
-        Tissue to scan.
-    beam, geometry
-        Point spread function, and geometry of the sweeps with lengths in the tissue.
-    reference
-        Sample at which the levels of surfaces hold.
-    pulses
-        Pulses of the beam.
-    block_size
-        Edge of the scatterer tile's blocks, in m.
-    sound_speed
-        Speed of sound in the tissue, in m/s.
-    frequency
-        Transmit frequency, in Hz.
-
-    Attributes
-    ----------
-    regions, pieces
-        Regions of other scattering, and pieces of surfaces or None, for the kernels.
-    pulses, widths
-        See `render_surfaces`.
+    Geometry has lengths in the tissue; levels of surfaces hold at the sample ``reference``.
+    ``regions`` and ``pieces``, which may be None, are for the kernels.
     """
 
     def __init__(
@@ -117,15 +96,16 @@ class Scene:
             surfaces += grid.surfaces
             self._growth += [_Pulse()] * len(grid.surfaces)
         self.pieces: Pieces | None = None
-        tables = [pulses.tabulate([1.0], [0.0])]
         if surfaces or self._paths is not None:
-            self.pieces = _pieces(surfaces, beam, reference, rng)
+            tables = [pulses.tabulate([1.0], [0.0])]
+            pieces = _pieces(surfaces, beam, reference, rng)
             for number, (_, echo) in enumerate(surfaces):
                 if echo.ring_down_db is not None:
-                    self.pieces.pulses[number] = len(tables)
+                    pieces.pulses[number] = len(tables)
                     length = echo.ring_down_length
                     tables.append(pulses.ring_down(echo.ring_down_db, length, geometry.depth, rng))
-        self.pulses, self.widths = stacked(tables)
+            table, widths = stacked(tables)
+            self.pieces = pieces._replace(table=table, widths=widths)
 
     @property
     def varies(self) -> bool:
@@ -134,21 +114,11 @@ class Scene:
         return beats or any(tube.flow > 0 for tube in self._tubes)
 
     def lumens(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the state of all lumens at times in s.
+        """Return (2, frames, tubes) radii in m, and standard deviations of blood's phases in rad.
 
-        The echo of scatterers that have moved by d through a beam with the amplitude
-        exp(-x^2 / 2 sigma^2) has the correlation exp(-d^2 / 4 sigma^2) with the first one, as if
-        their phases had turned by normally distributed angles of d / (sqrt(2) sigma).
-
-        Parameters
-        ----------
-        times
-            (frames,) times in s.
-
-        Returns
-        -------
-        (2, frames, tubes) radii in m, and standard deviations in rad of the phases by which the
-        echoes of flowing blood have turned.
+        The echo of scatterers that have moved by d through a beam with the amplitude exp(-x^2 / 2
+        sigma^2) has the correlation exp(-d^2 / 4 sigma^2) with the first one, as if their phases
+        had turned by normally distributed angles of d / (sqrt(2) sigma).
         """
         states = [
             (
@@ -167,19 +137,11 @@ class Scene:
     def view(
         self, X_FT: NDArray[np.float64], twist: float
     ) -> tuple[View, NDArray[np.float32] | None, float]:
-        """Return the effects of propagation through the tissue on every frame's echoes.
+        """Return the effects of propagation on every frame's echoes.
 
-        Parameters
-        ----------
-        X_FT
-            (frames, 3, 4) poses of the tissue in each frame's F.
-        twist
-            Angle in rad by which the motor turns from one line to the next.
-
-        Returns
-        -------
-        Apparent positions from refraction and delay, (frames, lines, nodes) factors on amplitudes
-        or None, and nodes per metre.
+        For (frames, 3, 4) poses of the tissue in F and the motor's turn in rad per line, they are
+        apparent positions by refraction and delay, (frames, lines, nodes) gains or None, and nodes
+        per metre.
         """
         if self._fat.thickness == 0 and self._paths is None:
             return NO_VIEW, None, 1 / _NODE
@@ -298,5 +260,7 @@ def _pieces(
             ]
         ),
         pulses=np.zeros(len(surfaces), np.int64),
+        table=np.zeros((0, 0), np.float32),
+        widths=np.zeros(0, np.int64),
         reaches=np.sqrt(np.clip(reach / FURTHEST, 0, 1)),
     )

@@ -16,7 +16,7 @@ from sonoservo.systems.ultrasound.simulation.needles.needle_echo import (
     NeedleEchoParameters,
     reverberations,
 )
-from sonoservo.systems.ultrasound.simulation.rays import depth_tables
+from sonoservo.systems.ultrasound.simulation.rays import projection_rays
 from sonoservo.systems.ultrasound.simulation.rendering import SweepRenderer
 from sonoservo.systems.ultrasound.simulation.tissue import Tissue
 from sonoservo.systems.ultrasound.transducer import load_transducer
@@ -48,7 +48,7 @@ class Scanner:
         beam = beam_profile(transducer, imaging, geometry)
         depths = geometry.sample_pitch * np.arange(geometry.samples)
         reference = int(np.abs(depths - transducer.lens_focus).argmin())
-        bright = 20 * np.log10(depth_tables(beam, geometry, reference)[0].bright)
+        bright = 20 * np.log10(projection_rays(geometry, beam, 1, 0, reference).bright)
         for name, value in {
             "transducer": transducer, "imaging": imaging, "geometry": geometry, "beam": beam,
             "spread": point_spread(beam, geometry), "depths": depths, "bright": bright,

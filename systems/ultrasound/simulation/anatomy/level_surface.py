@@ -67,14 +67,9 @@ def _crossed(inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def _section(normal: NDArray[np.float64], offset: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the areas in which planes cut the unit cube.
+    """Return the areas in which planes with (n, 3) unit normals >= 0 cut the unit cube.
 
-    Parameters
-    ----------
-    normal
-        (n, 3) unit normals without negative components.
-    offset
-        (n,) distances of the planes from the cube's centre along the normals.
+    ``offset`` are the (n,) distances of the planes from the cube's centre along the normals.
     """
     g = np.maximum(normal, _LEAST_SLOPE)
     level = offset + g.sum(axis=1) / 2

@@ -45,21 +45,10 @@ class ClockParameters:
 def poses_at(
     stamps: NDArray[np.float64], times: ArrayLike, X_WP: Sequence[RigidTransform]
 ) -> NDArray[np.float64]:
-    """Return the poses that a program gives to frames by their stamps.
+    """Return the (frames, 4, 4) poses that a program gives to frames by their stamps in s.
 
-    Parameters
-    ----------
-    stamps
-        (frames,) times of the frames by the scanner's clock, in s.
-    times
-        (m,) ascending times of the poses by the arm's clock, in s.
-    X_WP
-        (m,) poses.
-
-    Returns
-    -------
-    (frames, 4, 4) poses, linear in position and along the shortest turn; the nearest one for a
-    stamp before all poses or after them.
+    They are linear in position and along the shortest turn between the (m,) poses at ascending
+    times by the arm's clock, and the nearest one beyond their ends.
     """
     path = PiecewisePose.MakeLinear(np.asarray(times), list(X_WP))
     return np.array([path.GetPose(stamp).GetAsMatrix4() for stamp in stamps])

@@ -50,21 +50,10 @@ class ConnectionParameters:
 def repeat_lost_frames(
     samples: NDArray[np.uint8], share: float, direction: int, rng: np.random.Generator
 ) -> NDArray[np.uint8]:
-    """Return the samples of a sweep of which frames were lost.
+    """Return the (frames, lines, samples) samples of a sweep of which frames were lost.
 
     In place of a lost frame stands the last one acquired before it, which the frame grabber still
     holds. The first frame of a sweep is never lost.
-
-    Parameters
-    ----------
-    samples
-        (frames, lines, samples) samples, numbered towards +Z.
-    share
-        Share of the frames that are lost.
-    direction
-        +1 for a sweep towards +Z, -1 towards -Z.
-    rng
-        Source of the choice.
     """
     lost = rng.random(len(samples)) < share
     order = np.arange(len(samples))
@@ -101,15 +90,7 @@ class Reception(Immutable, Generic[T]):
         return Reception((*self.coming, (arrival, sweep)), self.busy, self.processed)
 
     def at(self, time: float, processing_time: float) -> "Reception[T]":
-        """Return the reception at a later time in s.
-
-        Parameters
-        ----------
-        time
-            Present time, in s.
-        processing_time
-            Time that the program needs for a sweep, in s.
-        """
+        """Return the reception at a later time; a sweep takes a processing time; both in s."""
         coming, busy, processed = self.coming, self.busy, self.processed
         if busy is not None and busy[0] <= time + _SLACK:
             processed, busy = busy[1], None

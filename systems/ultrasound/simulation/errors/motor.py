@@ -31,24 +31,9 @@ class MotorParameters:
 def motor_error(
     parameters: MotorParameters, frames: int, direction: int, rng: np.random.Generator
 ) -> NDArray[np.float64]:
-    """Return the angles in rad by which the array is ahead towards +Z of where its motor says.
+    """Return (frames,) angles in rad by which the array is ahead towards +Z of its motor.
 
-    The array lags behind its motor by half of the play.
-
-    Parameters
-    ----------
-    parameters
-        Errors of the motor.
-    frames
-        Number of frames of the sweep; the motor of a single frame does not move.
-    direction
-        +1 for a sweep towards +Z, -1 towards -Z.
-    rng
-        Source of the random errors.
-
-    Returns
-    -------
-    (frames,) angles.
+    It lags behind by half of the play; the motor of a single frame does not move.
     """
     if frames == 1:
         return np.zeros(1)
@@ -59,18 +44,9 @@ def motor_error(
 def turned(
     X_TP: NDArray[np.float64], angles: NDArray[np.float64], geometry: SweepGeometry
 ) -> NDArray[np.float64]:
-    """Return (frames, 4, 4) poses of a probe turned about its motor's axis.
+    """Return (frames, 4, 4) poses of a probe turned about its motor's axis, in rad towards +Z.
 
     A frame acquired from such a pose is the one that the motor's error makes of it.
-
-    Parameters
-    ----------
-    X_TP
-        (frames, 4, 4) poses of the probe.
-    angles
-        (frames,) angles in rad, positive towards +Z.
-    geometry
-        Geometry of the sweep, which has the motor's axis.
     """
     turn = np.tile(np.eye(4), (len(angles), 1, 1))
     turn[:, 1, 1] = turn[:, 2, 2] = cosine = np.cos(angles)

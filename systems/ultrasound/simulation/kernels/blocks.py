@@ -10,21 +10,8 @@ from sonoservo.systems.sampling.kernels import OPTIONS
 def frame_blocks(X_FT, box, block_size, depth, half_angle, thickness, margin, rays):  # type: ignore[no-untyped-def]
     """Return the first and last block (exclusive) along T's axes that a frame can meet.
 
-    Parameters
-    ----------
-    X_FT
-        (3, 4) pose of the tissue in F.
-    box
-        (2, 3) lower and upper corner of the tissue in T, in m.
-    block_size, depth
-        Edge of a block, and depth of the image, in m.
-    half_angle
-        Largest angle of a line to the middle one, in rad.
-    thickness, margin
-        Half width of the slab that is met in elevation, and distance by which it is enlarged in the
-        frame's plane, in m.
-    rays
-        Quantities of the frame's lines.
+    The slab has a half width in elevation, its thickness, and is enlarged by a margin in the
+    frame's plane; lengths in m, the largest angle of a line to the middle one in rad.
     """
     sine = np.sin(min(half_angle, np.pi / 2))
     cosine = np.cos(min(half_angle, np.pi / 2))
@@ -80,16 +67,8 @@ def keep_between(chosen, count, xs, ys, zs, low, high):  # type: ignore[no-untyp
 def misses(x, y, z, slack, aside, reach, share, twist_per_radian, rays):  # type: ignore[no-untyped-def]
     """Return True if no point near a point in F can be in the frame's beam.
 
-    Parameters
-    ----------
-    x, y, z, slack, aside
-        Point in F, and largest distances from it in any direction and along Z, in m.
-    reach, share
-        (samples,) half width of the beam in elevation in m, and a factor on it.
-    twist_per_radian
-        Turn of the motor per radian between lines.
-    rays
-        Quantities of the frame's lines.
+    ``slack`` and ``aside`` are the largest distances from it in any direction and along Z in m,
+    ``reach`` the (samples,) half width of the beam in elevation in m, ``share`` a factor on it.
     """
     q = y + rays.centre_offset
     d = np.sqrt(q * q + x * x) - rays.array_radius

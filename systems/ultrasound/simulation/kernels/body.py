@@ -8,19 +8,9 @@ from sonoservo.systems.sampling.kernels import OPTIONS
 
 @njit(**OPTIONS)
 def way_through(point, direction, box):  # type: ignore[no-untyped-def]
-    """Return the distances in m at which a ray enters and leaves the body.
+    """Return the distances in m at which a ray in T enters and leaves the body.
 
-    Parameters
-    ----------
-    point, direction
-        Three coordinates of the ray's origin in T, in m, and of its unit direction.
-    box
-        (2, 3) or (3, 3) bounds of the body.
-
-    Returns
-    -------
-    Distance to the body, 0 inside it, and distance to its far side, which is smaller than the first
-    if the ray misses the body.
+    The first is 0 inside it; the second is the smaller if the ray misses the body.
     """
     enter = 0.0
     leave = np.inf
@@ -58,21 +48,7 @@ def way_through(point, direction, box):  # type: ignore[no-untyped-def]
 
 @njit(**OPTIONS)
 def keep_inside(chosen, count, xs, ys, zs, x0, y0, z0, box):  # type: ignore[no-untyped-def]
-    """Remove the scatterers of a block that lie outside a curved body.
-
-    Parameters
-    ----------
-    chosen, count
-        Indices of the block's scatterers, changed, and the number of valid ones.
-    xs, ys, zs, x0, y0, z0
-        Positions within the block, and its corner, in T, in m.
-    box
-        (3, 3) bounds of the body.
-
-    Returns
-    -------
-    Number of scatterers left.
-    """
+    """Remove chosen scatterers that lie outside a curved body; return the number left."""
     centre_x = (box[1, 0] + box[0, 0]) / 2
     centre_y = (box[1, 1] + box[0, 1]) / 2
     centre_z = (box[1, 2] + box[0, 2]) / 2

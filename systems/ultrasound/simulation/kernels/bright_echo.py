@@ -38,47 +38,33 @@ _MAIN_REACH = 4.5
 
 
 @njit(**OPTIONS)
-def add_point(  # type: ignore[no-untyped-def]
-    layer, x, y, z, closer, real, imaginary, shadow, rays, tables, pulse
-):
-    """Add the echo of one bright point in F; return True if the frame sees it.
+def add_point(layer, rays, pulse, place, closer, amplitude, shadow):  # type: ignore[no-untyped-def]
+    """Add the echo of one bright point in F to a `Layer`; return True if the frame sees it.
 
-    Parameters
-    ----------
-    layer
-        `Layer`, added to; of losses that begin at a sample, it keeps the greatest.
-    x, y, z, closer
-        Position in F, and the distance by which the reflecting surface is closer, in m.
-    real, imaginary
-        Amplitude of the point.
-    shadow
-        Loss in the middle of the beam.
-    rays, tables
-        Quantities of the frame's lines and of each depth.
-    pulse
-        (FRACTIONS + 1, 2 taps) float32; it begins ``rays.lead`` samples before the echo.
+    The reflecting surface is closer than the point by ``closer`` m; ``shadow`` is the loss in the
+    middle of the beam, of which a layer keeps the greatest.
     """
     lines, samples = layer.loss.shape
     taps = pulse.shape[1] // 2
-    line, e, r = line_coordinates(x, y, z, rays)
+    line, e, r = line_coordinates(place[0], place[1], place[2], rays)
     depth = r - rays.array_radius
     at = np.int64(depth * rays.samples_per_metre + 0.5)
     if at < 0 or at >= samples:
         return False
-    u = tables.elevation_precision[at] * e * e
+    u = rays.elevation_precision[at] * e * e
     if u > _FURTHEST_OUT:
         return False
-    path = depth + 0.5 * tables.curvature[at] * e * e - closer
+    path = depth + 0.5 * rays.curvature[at] * e * e - closer
     sample = path * rays.samples_per_metre
     k = np.int64(sample)
     if sample < 0 or k >= samples:
         return False
     fraction = np.int64((sample - k) * FRACTIONS + 0.5)
     c, s = phasor(np.float32(path * rays.turns_per_metre))
-    bright = tables.bright[at]
-    re = np.float32(bright * (real * c + imaginary * s))
-    im = np.float32(bright * (imaginary * c - real * s))
-    precision = 0.5 / (tables.line_sigma[at] * tables.line_sigma[at])
+    bright = rays.bright[at]
+    re = np.float32(bright * (amplitude.real * c + amplitude.imag * s))
+    im = np.float32(bright * (amplitude.imag * c - amplitude.real * s))
+    precision = 0.5 / (rays.line_sigma[at] * rays.line_sigma[at])
     reach = np.sqrt(max(_FURTHEST - u, _MAIN_REACH) / precision)
     middle = np.exp(-u)
     near = rays.side_lobes * np.exp(-u / SIDE_LOBE_WIDTH**2)
@@ -102,55 +88,37 @@ def add_point(  # type: ignore[no-untyped-def]
 
 
 @njit(**OPTIONS)
-def seen_within(samples, rays, tables):  # type: ignore[no-untyped-def]
+def seen_within(rays):  # type: ignore[no-untyped-def]
     """Return the distance in m from a frame's plane beyond which no point shows in any line."""
-    furthest = rays.array_radius + samples / rays.samples_per_metre
-    reach = np.sqrt(_FURTHEST_OUT / tables.elevation_precision.min())
+    furthest = rays.array_radius + rays.bright.size / rays.samples_per_metre
+    reach = np.sqrt(_FURTHEST_OUT / rays.elevation_precision.min())
     return reach + abs(rays.twist) * rays.middle_line * furthest
 
 
 @njit(**OPTIONS)
-def render_points(  # type: ignore[no-untyped-def]
-    iq, X_FT, points, amplitudes, rays, tables, pulse, view, fields
-):
-    """Add inclusions to every frame.
-
-    Parameters
-    ----------
-    iq
-        (frames, lines, samples) complex64, added to.
-    X_FT
-        (frames, 3, 4) poses of the tissue in each frame's F.
-    points, amplitudes
-        (n, 3) positions in T and (n,) complex amplitudes.
-    rays, tables, pulse
-        See `add_point`.
-    view
-        Apparent positions of points, or `NO_VIEW`.
-    fields
-        Displacements of the tissue, or `NO_DISPLACEMENTS`.
-    """
+def render_points(iq, sights, rays, points, amplitudes, pulse):  # type: ignore[no-untyped-def]
+    """Add inclusions, (n, 3) in T and (n,) complex, to (frames, lines, samples) echoes."""
+    view, fields = sights.bent, sights.fields
     frames, lines, samples = iq.shape
     taps = pulse.shape[1] // 2
     bends, deforms = len(view.table) > 0, len(fields.counts) > 0
-    slab = seen_within(samples, rays, tables) + view.furthest + fields.deepest + fields.widest_push
+    slab = seen_within(rays) + view.furthest + fields.deepest + fields.widest_push
     layer = empty_layer(lines, samples, taps)
     for frame in range(frames):
+        X_FT = sights.X_FT[frame]
         node = np.empty(15)
         F = np.empty((3, 3))
         field = frame_field(fields, frame)
         seen = False
         for i in range(len(points)):
-            x, y, z = transformed(X_FT[frame], points[i, 0], points[i, 1], points[i, 2])
+            x, y, z = transformed(X_FT, points[i, 0], points[i, 1], points[i, 2])
             if abs(z) > slab:
                 continue
             if deforms:
                 x, y, z = displace(points[i, 0], points[i, 1], points[i, 2], field, True, F)
-                x, y, z = transformed(X_FT[frame], x, y, z)
+                x, y, z = transformed(X_FT, x, y, z)
             if bends:
                 x, y, z = look_up(x, y, z, view, frame, node)
-            re = amplitudes[i].real
-            im = amplitudes[i].imag
-            seen |= add_point(layer, x, y, z, 0.0, re, im, 0.0, rays, tables, pulse)
+            seen |= add_point(layer, rays, pulse, (x, y, z), 0.0, amplitudes[i], 0.0)
         if seen:
             add_layer(iq[frame], layer)

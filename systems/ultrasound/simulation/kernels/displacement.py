@@ -102,20 +102,9 @@ def indent(x, y, z, field, F):  # type: ignore[no-untyped-def]
     T's level top with the normal n into the tissue. With Poisson's ratio 1/2, Boussinesq's
     potentials (Johnson 1985, section 3.2) reduce to u = (V n - d grad V) / 2G, where d is the depth
     and V the Newtonian potential of the pressure. That of Hertz's pressure is the limit of a
-    homogeneous ellipsoid that is flattened to a disc of radius a:
-
-        V / 2G = (depth a / pi) int_lambda^inf (1 - r^2/(a^2+s) - d^2/s) ds / ((a^2+s) sqrt(s)),
-
-    where r is the distance from the axis and r^2/(a^2+lambda) + d^2/lambda = 1.
-
-    Parameters
-    ----------
-    x, y, z
-        Coordinates of the point, in m.
-    field
-        `FrameField`.
-    F
-        (3, 3) gradient of the displaced position, written.
+    homogeneous ellipsoid that is flattened to a disc of radius a: V / 2G = (depth a / pi)
+    int_lambda^inf (1 - r^2/(a^2+s) - d^2/s) ds / ((a^2+s) sqrt(s)), where r is the distance from
+    the axis and r^2/(a^2+lambda) + d^2/lambda = 1.
     """
     a = field.radius
     px = x - field.x
@@ -160,22 +149,11 @@ def indent(x, y, z, field, F):  # type: ignore[no-untyped-def]
 def displace(x, y, z, field, pushed, F):  # type: ignore[no-untyped-def]
     """Return the displaced position in T, in m, of a point in T, and write its gradient.
 
-    The needle drags tissue along, less and less with the distance from its shaft. Tissue also gives
-    way to the needle's volume: incompressible tissue at a distance r from the middle of a long
-    needle of radius R moves to sqrt(r^2 + R^2) (expansion of a cylindrical cavity). At its ends the
-    field is that of a line of sources. The gradient leaves out the second effect. The probe then
-    displaces the tissue with the needle; see `indent`.
-
-    Parameters
-    ----------
-    x, y, z
-        Coordinates of the point, in m.
-    field
-        `FrameField`.
-    pushed
-        Whether the needle displaces the point.
-    F
-        (3, 3) gradient of the displaced position, written.
+    The needle, unless it does not push the point, drags tissue along, less and less with the
+    distance from its shaft. Tissue also gives way to the needle's volume: incompressible tissue at
+    a distance r from the middle of a long needle of radius R moves to sqrt(r^2 + R^2) (expansion of
+    a cylindrical cavity). At its ends the field is that of a line of sources. The gradient leaves
+    out the second effect. The probe then displaces the tissue with the needle; see `indent`.
     """
     dx, dy, dz, slope, px, py, pz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     if pushed and field.points > 1:
@@ -222,19 +200,10 @@ def displacement_limit(x, y, z, field):  # type: ignore[no-untyped-def]
 
 @njit(**OPTIONS)
 def limit_along(limit, cosine, field):  # type: ignore[no-untyped-def]
-    """Return an upper limit of a displacement's component along a direction, in m.
+    """Return an upper limit in m of a displacement's component along a direction.
 
-    Below the probe, the tissue moves sideways by at most a quarter of the limit: Boussinesq's point
-    load moves it by sin(t) cos(t) / 2 of the greatest displacement at an angle t to the load.
-
-    Parameters
-    ----------
-    limit
-        `displacement_limit` of the point, in m.
-    cosine
-        Cosine of the direction's angle to the vertical.
-    field
-        `FrameField`.
+    Boussinesq's point load moves tissue sideways by at most a quarter of the greatest displacement:
+    sin(t) cos(t) / 2 at an angle t to the load. The cosine is that to the vertical.
     """
     pressed = limit - field.widest_push
     return field.widest_push + min(abs(cosine) + 0.25, 1.0) * pressed

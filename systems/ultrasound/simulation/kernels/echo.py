@@ -5,8 +5,11 @@ nearest scan lines and deposited there with its exact two-way phase and the puls
 neighbouring lines are blurred to the beam's width, which depends on depth.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from sonoservo.systems.sampling.kernels import OPTIONS
 from sonoservo.systems.ultrasound.simulation.kernels.blocks import (
@@ -22,7 +25,7 @@ from sonoservo.systems.ultrasound.simulation.kernels.displacement import (
     frame_field,
     limit_along,
 )
-from sonoservo.systems.ultrasound.simulation.kernels.line_blur import blur_lines
+from sonoservo.systems.ultrasound.simulation.kernels.line_blur import LineKernel, blur_lines
 from sonoservo.systems.ultrasound.simulation.kernels.medium import largest_aside, look_up
 from sonoservo.systems.ultrasound.simulation.kernels.needle_push import (
     nearest_on_shaft,
@@ -34,9 +37,9 @@ from sonoservo.systems.ultrasound.simulation.kernels.projection import (
     phasor,
     transformed,
 )
-from sonoservo.systems.ultrasound.simulation.kernels.regions import weigh_scatterers
+from sonoservo.systems.ultrasound.simulation.kernels.regions import Regions, weigh_scatterers
 from sonoservo.systems.ultrasound.simulation.kernels.vector_addition import deposit
-from sonoservo.systems.ultrasound.simulation.scatterer_tile import BLOCKS
+from sonoservo.systems.ultrasound.simulation.scatterer_tile import BLOCKS, ScattererTile
 
 FADE = 0.1
 """Half width, relative to the share of scatterers used at a depth, over which more fade in."""
@@ -55,79 +58,46 @@ _BENT = 1.15
 _NEAR_NEEDLE = 1e-3
 
 
-@njit(**OPTIONS)
-def render_tissue(  # type: ignore[no-untyped-def]
-    iq, X_FT, box, tile, rays, tables, pulse, kernel, regions, lumens, view, fields
-):
-    """Render the tissue's echoes in every frame.
+class Scattering(NamedTuple):
+    """What scatters in the tissue, and how it shows."""
 
-    Parameters
-    ----------
-    iq
-        (frames, lines, samples) complex64, written.
-    X_FT
-        (frames, 3, 4) poses of the tissue in each frame's F.
-    box, tile, rays, tables, pulse
-        See `deposit_tissue`.
-    kernel
-        Kernel from `line_kernel`.
-    regions, lumens
-        Regions of other scattering, or `NO_REGIONS`, and (2, frames, tubes) radii of their tubes
-        in m and phases of their blood in rad; see `weigh_scatterers`.
-    view
-        Apparent positions of points, or `NO_VIEW`.
-    fields
-        Displacements of the tissue, or `NO_DISPLACEMENTS`.
+    box: NDArray[np.float64]
+    """(2, 3) or (3, 3) bounds of the tissue in T, in m; see `BodySurface.bounds`."""
+    tile: ScattererTile
+    regions: Regions
+    """Regions of other scattering, or `NO_REGIONS`."""
+    pulse: NDArray[np.float32]
+    """(FRACTIONS + 1, 2 taps) envelope around a scatterer, every value twice."""
+    kernel: LineKernel
+
+
+@njit(**OPTIONS)
+def render_tissue(iq, sights, rays, tissue, lumens):  # type: ignore[no-untyped-def]
+    """Write the tissue's echoes to (frames, lines, samples) complex64 samples.
+
+    ``sights``, ``rays`` and ``tissue`` are `Sights`, `Rays` and `Scattering`; ``lumens`` are
+    (2, frames, tubes) radii in m and phases of the blood in rad; see `weigh_scatterers`.
     """
     frames, lines, samples = iq.shape
-    pad = len(kernel.ends) // 2 + 1
-    taps = pulse.shape[1] // 2
+    pad = len(tissue.kernel.ends) // 2 + 1
+    taps = tissue.pulse.shape[1] // 2
     accumulator = np.empty((lines + 2 * pad, 2 * (samples + 2 * taps)), np.float32)
     for frame in range(frames):
         accumulator[:] = 0
-        deposit_tissue(
-            accumulator,
-            X_FT[frame],
-            box,
-            tile,
-            rays,
-            tables,
-            pulse,
-            regions,
-            lumens[:, frame],
-            view,
-            fields,
-            frame,
-        )
-        blur_lines(iq[frame], accumulator, kernel, taps)
+        deposit_tissue(accumulator, sights, frame, rays, tissue, lumens[:, frame])
+        blur_lines(iq[frame], accumulator, tissue.kernel, taps)
 
 
 @njit(**OPTIONS)
-def deposit_tissue(  # type: ignore[no-untyped-def]
-    accumulator, X_FT, box, tile, rays, tables, pulse, regions, lumens, view, fields, frame
-):
+def deposit_tissue(accumulator, sights, frame, rays, tissue, lumens):  # type: ignore[no-untyped-def]
     """Deposit the scatterers that a frame's beam meets.
 
-    Parameters
-    ----------
-    accumulator
-        (lines + 2 pad, 2 (samples + 2 taps)) float32, real and imaginary parts alternating.
-    X_FT
-        (3, 4) pose of the tissue in F, float64.
-    box
-        (2, 3) lower and upper corner of the tissue in T, in m, or (3, 3) if it is curved; see
-        `BodySurface.bounds`.
-    tile
-        Scatterers, a `ScattererTile`.
-    rays, tables
-        Quantities of the frame's lines and of each depth.
-    pulse
-        (FRACTIONS + 1, 2 taps) envelope around a scatterer, every value twice; a multiple of
-        `LANES` wide.
-    regions, lumens, view, fields, frame
-        See `render_tissue`, and the frame's number.
+    The accumulator is (lines + 2 pad, 2 (samples + 2 taps)) float32, real and imaginary parts
+    alternating; ``lumens`` is (2, tubes).
     """
-    block_size, positions, ranks, starts = tile
+    box, regions, pulse = tissue.box, tissue.regions, tissue.pulse
+    view, fields, X_FT = sights.bent, sights.fields, sights.X_FT[frame]
+    block_size, positions, ranks, starts = tissue.tile
     lines = accumulator.shape[0]
     taps = pulse.shape[1] // 2
     samples = accumulator.shape[1] // 2
@@ -142,7 +112,7 @@ def deposit_tissue(  # type: ignore[no-untyped-def]
     twist_per_radian = rays.twist * rays.lines_per_radian
     radius = _HALF_DIAGONAL * block_size
     support = (abs(X_FT[2, 0]) + abs(X_FT[2, 1]) + abs(X_FT[2, 2])) * block_size / 2
-    reach = REACH / np.sqrt(2 * tables.elevation_precision)
+    reach = REACH / np.sqrt(2 * rays.elevation_precision)
     twist_slack = abs(twist_per_radian) * radius
     thickness = reach.max() + abs(twist_per_radian) * half_angle * (depth + rays.array_radius)
     edge_cosine = np.cos(min(half_angle, np.pi / 2))
@@ -244,16 +214,16 @@ def deposit_tissue(  # type: ignore[no-untyped-def]
                 # Within a block, quantities that depend on depth are taken as linear in it.
                 per_metre = np.float32(rays.samples_per_metre / (2 * span))
                 middle = np.float32(at / rays.samples_per_metre) + rays.array_radius
-                precision = tables.elevation_precision[at]
+                precision = rays.elevation_precision[at]
                 precision_slope = per_metre * (
-                    tables.elevation_precision[at + span] - tables.elevation_precision[at - span]
+                    rays.elevation_precision[at + span] - rays.elevation_precision[at - span]
                 )
-                curvature = _HALF * tables.curvature[at]
-                share = tables.share[at]
-                share_slope = per_metre * (tables.share[at + span] - tables.share[at - span])
+                curvature = _HALF * rays.curvature[at]
+                share = rays.share[at]
+                share_slope = per_metre * (rays.share[at + span] - rays.share[at - span])
                 block = ((bx % BLOCKS) * BLOCKS + by % BLOCKS) * BLOCKS + bz % BLOCKS
                 start = starts[block]
-                most = max(tables.share[at + span], tables.share[at - span], share) * (1 + FADE)
+                most = max(rays.share[at + span], rays.share[at - span], share) * (1 + FADE)
                 n = count_below(ranks, start, starts[block + 1], np.float32(most))
                 ox = np.float32(x - (A[0, 0] + A[0, 1] + A[0, 2]) * block_size / 2)
                 oy = np.float32(y - (A[1, 0] + A[1, 1] + A[1, 2]) * block_size / 2)

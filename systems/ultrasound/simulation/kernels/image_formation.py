@@ -34,27 +34,13 @@ def form_image(  # type: ignore[no-untyped-def]
     changing,
     lasting,
 ):
-    """Convert every frame's echoes to grey levels.
+    """Convert every frame's echoes to (frames, lines, samples) uint8 grey levels.
 
-    Parameters
-    ----------
-    grey, iq
-        (frames, lines, samples) uint8 grey levels, written, and complex64 echoes.
-    X_TP, origins, directions
-        (frames, 3, 4), (frames, lines, 3) and (frames, lines, 3): see `coupling`.
-    box, gel_thickness
-        See `coupling`.
-    open_shares
-        (frames, lines) float32 factors on the echoes of lines under which air lies.
-    noise, keys, grey_per_db, offsets
-        See `compress`; keys is (frames,).
-    field
-        (frames, lines, samples) complex64 speckle of the probe; empty for none.
-    clutter
-        (2 samples,) float32 amplitude of the part of it that stays, every value twice.
-    changing, lasting
-        (frames,) amplitudes of the part that changes, whose real and imaginary part weigh two
-        independent fields, and the factor on what lasts of the tissue's echo.
+    See `coupling` and `compress`; ``open_shares`` are (frames, lines) factors on lines under which
+    air lies, ``field`` is the probe's (frames, lines, samples) speckle or empty, ``clutter`` the (2
+    samples,) amplitude of the part that stays, every value twice, ``changing`` the (frames,)
+    amplitudes of the part that changes, whose real and imaginary part weigh two fields, and
+    ``lasting`` the factor on tissue.
     """
     for frame in range(len(grey)):
         share = coupling(X_TP[frame], origins[frame], directions[frame], box, gel_thickness)
@@ -84,24 +70,10 @@ def add_haze(iq, field, clutter, changing, lasting):  # type: ignore[no-untyped-
 
 @njit(**OPTIONS)
 def coupling(X_TP, origins, directions, box, gel_thickness):  # type: ignore[no-untyped-def]
-    """Return the share of the sound that reaches the tissue along each line of a frame.
+    """Return (lines,) float32 shares of the sound that reach the tissue along a frame's lines.
 
-    Parameters
-    ----------
-    X_TP
-        (3, 4) pose of the probe in T.
-    origins, directions
-        (lines, 3) points at which the lines leave the face, in m, and their unit directions, in P.
-    box
-        (2, 3) corners of the tissue in T, in m, or (3, 3) if it is curved; see
-        `BodySurface.bounds`.
-    gel_thickness
-        Longest path from the face to the tissue that the gel fills, in m; beyond it, the sound
-        fades over 0.5 mm.
-
-    Returns
-    -------
-    (lines,) float32 shares from 0 to 1.
+    Lines leave the face at (lines, 3) origins along unit directions, in P, with the (3, 4) pose
+    X_TP; the gel fills paths up to its thickness in m, beyond which the sound fades over 0.5 mm.
     """
     share = np.empty(len(origins), np.float32)
     point = np.empty(3)
@@ -123,20 +95,10 @@ def coupling(X_TP, origins, directions, box, gel_thickness):  # type: ignore[no-
 
 @njit(**OPTIONS)
 def compress(grey, iq, share, noise, key, grey_per_db, offsets):  # type: ignore[no-untyped-def]
-    """Add noise and compress a frame's echoes to grey levels, rounded to nearest.
+    """Write a frame's echoes with noise as grey levels, rounded to nearest.
 
-    Parameters
-    ----------
-    grey
-        (lines, samples) uint8, written.
-    iq, share
-        (lines, samples) echoes and (lines,) coupling.
-    noise
-        (samples,) float32 root mean square of the noise.
-    key
-        uint64 that selects the noise; equal keys give equal noise.
-    grey_per_db, offsets
-        Coefficients of the grey level: grey_per_db x level in dB + the sample's offset, float32.
+    Echoes are weighed by the (lines,) coupling; ``noise`` is the (samples,) root mean square of
+    what the uint64 key selects; a grey level is grey_per_db x level in dB + the sample's offset.
     """
     lines, samples = iq.shape
     power = np.empty(samples, np.float32)
@@ -179,15 +141,7 @@ def compress(grey, iq, share, noise, key, grey_per_db, offsets):  # type: ignore
 
 @njit(**OPTIONS)
 def modulate(lines, iq, cosine, sine):  # type: ignore[no-untyped-def]
-    """Modulate echoes onto their carrier.
-
-    Parameters
-    ----------
-    lines, iq
-        (frames, lines, samples) float32 lines, written, and complex64 echoes.
-    cosine, sine
-        (samples,) float32 cosine and sine of the carrier's phase.
-    """
+    """Write (frames, lines, samples) echoes times a (samples,) carrier's cosine and sine."""
     for frame in range(len(lines)):
         for j in range(lines.shape[1]):
             for i in range(lines.shape[2]):

@@ -94,15 +94,7 @@ def join_layer(iq, transmission, layer, weakened):  # type: ignore[no-untyped-de
 
 @njit(**OPTIONS)
 def expand_gains(transmission, gains, nodes_per_sample):  # type: ignore[no-untyped-def]
-    """Interpolate gains to samples.
-
-    Parameters
-    ----------
-    transmission, gains
-        (frames, lines, samples) float32 transmission, written, and (frames, lines, nodes) gains.
-    nodes_per_sample
-        Number of nodes from one sample to the next.
-    """
+    """Interpolate (frames, lines, nodes) gains to the samples of a transmission."""
     frames, lines, samples = transmission.shape
     last = gains.shape[2] - 2
     for frame in range(frames):

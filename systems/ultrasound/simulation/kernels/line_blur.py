@@ -48,18 +48,9 @@ def line_kernel(line_sigma: NDArray[np.float64], lines: int) -> LineKernel:
 
 @njit(**OPTIONS)
 def blur_lines(iq, accumulator, kernel, taps):  # type: ignore[no-untyped-def]
-    """Blur deposited echoes across lines.
+    """Write (lines, samples) deposits blurred across lines.
 
-    Parameters
-    ----------
-    iq
-        (lines, samples) complex64, written.
-    accumulator
-        (lines + 2 pad, 2 (samples + 2 taps)) deposits, real and imaginary parts alternating.
-    kernel
-        Kernel from `line_kernel`; it reaches at most as many lines as the padding has.
-    taps
-        Number of samples of padding at either end.
+    See `deposit_tissue` for the accumulator.
     """
     lines, samples = iq.shape
     pad = (accumulator.shape[0] - lines) // 2

@@ -13,6 +13,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from sonoservo.systems.sampling.kernels import OPTIONS
+from sonoservo.systems.ultrasound.simulation.kernels.displacement import Displacements
 
 _STEPS = 3
 _PROBE = 1e-3
@@ -57,6 +58,17 @@ class View(NamedTuple):
 
 NO_VIEW = View(np.empty((0, 0, 0, 15)), 1.0, 0.0, 0.0, 1.0, 0.0, np.empty(0), 0.0)
 """View of points that appear at their true positions."""
+
+
+class Sights(NamedTuple):
+    """Where frames see the tissue."""
+
+    X_FT: NDArray[np.float64]
+    """(frames, 3, 4) poses of the tissue in each frame's F."""
+    fields: Displacements
+    """Displacements of the tissue, or `NO_DISPLACEMENTS`."""
+    bent: View
+    """Apparent positions of points, or `NO_VIEW`."""
 
 
 @njit(**OPTIONS)
@@ -131,21 +143,7 @@ def apparent_position(x, y, z, medium, frame):  # type: ignore[no-untyped-def]
 
 @njit(**OPTIONS)
 def linear_view(x, y, z, medium, frame, slope):  # type: ignore[no-untyped-def]
-    """Return the apparent position of a point in F, and write its derivative.
-
-    Parameters
-    ----------
-    x, y, z
-        Coordinates of the point in F, in m.
-    medium, frame
-        Layers, and the frame's number.
-    slope
-        (3, 3) derivative of the apparent position by the true one, written.
-
-    Returns
-    -------
-    Apparent position in F, in m.
-    """
+    """Return a point's apparent position in F; write its derivative by the true one."""
     ax, ay, az = apparent_position(x, y, z, medium, frame)
     x0, y0, z0 = true_position(ax, ay, az, medium, frame)
     J = np.empty((3, 3))
@@ -178,15 +176,7 @@ def linear_view(x, y, z, medium, frame, slope):  # type: ignore[no-untyped-def]
 
 @njit(**OPTIONS)
 def tabulate_views(table, medium, view):  # type: ignore[no-untyped-def]
-    """Tabulate `linear_view` over the middle plane of every frame.
-
-    Parameters
-    ----------
-    table
-        (frames, angles, depths, 15) float64 table of the `View`, written.
-    medium, view
-        Layers, and the view that defines the table's axes.
-    """
+    """Tabulate `linear_view` over the middle plane of every frame, as a `View` has it."""
     for frame in range(len(table)):
         slope = np.empty((3, 3))
         for j in range(table.shape[1]):
@@ -216,21 +206,7 @@ def tabulate_views(table, medium, view):  # type: ignore[no-untyped-def]
 
 @njit(**OPTIONS)
 def look_up(x, y, z, view, frame, node):  # type: ignore[no-untyped-def]
-    """Interpolate a frame's view at a point.
-
-    Parameters
-    ----------
-    x, y, z
-        Coordinates of the point in F, in m.
-    view, frame
-        View to interpolate, and the frame's number.
-    node
-        (15,) interpolated entries, written.
-
-    Returns
-    -------
-    Apparent position of the point in F, in m.
-    """
+    """Return a point's apparent position in F, in m; write the (15,) interpolated node."""
     table = view.table
     dy = y + view.centre_offset
     r = np.sqrt(x * x + dy * dy)
@@ -273,24 +249,11 @@ def integrate_paths(  # type: ignore[no-untyped-def]
     line_pitch,
     twist,
 ):
-    """Integrate the effects of attenuation and speed of sound along every line.
+    """Write (frames, lines, nodes) gains and delays along lines.
 
-    Parameters
-    ----------
-    gains, delays
-        (frames, lines, nodes) float32 factors on the amplitude of echoes, and paths in m by which
-        they appear deeper; both written.
-    X_TF
-        (frames, 3, 4) poses of each F in T.
-    medium
-        Layers; their own delays are not used.
-    labels, origin, per_metre
-        (nx, ny, nz) uint8 labels of cubes, corner of the first cube in T in m, and cubes per metre.
-    loss_rate, delay_rate
-        (labels,) two-way attenuation in nepers per m and additional path per path, both relative to
-        the tissue.
-    line_pitch, twist
-        Angle from one line to the next, along the array and about the motor's axis, in rad.
+    Gains are factors on the amplitude of echoes, delays paths in m by which they appear deeper. The
+    labels' rates are two-way attenuation in nepers per m and additional path per path, both
+    relative to the tissue; line_pitch and twist are angles in rad from one line to the next.
     """
     frames, lines, nodes = gains.shape
     nx, ny, nz = labels.shape

@@ -54,19 +54,9 @@ def segment_of(field, k):  # type: ignore[no-untyped-def]
 def push(px, py, pz, dx, dy, dz, length, entry, tip, drag, reach, hole):  # type: ignore[no-untyped-def]
     """Return the displacement by a segment of a needle, and how the drag changes.
 
-    Parameters
-    ----------
-    px, py, pz
-        Point relative to the segment's beginning, in m.
-    dx, dy, dz, length, entry, tip
-        See `segment_of`.
-    drag, reach, hole
-        See `Displacements`.
-
-    Returns
-    -------
-    Displacement in m; slope of the drag away from the needle, per m of the vector that follows; and
-    the vector from the nearest point of the needle.
+    The point is relative to the segment's beginning, in m. Returned are the displacement in m, the
+    slope of the drag away from the needle per m of the vector that follows, and that from the
+    needle's nearest point.
     """
     along = px * dx + py * dy + pz * dz
     clipped = min(max(along, 0.0), length)
@@ -102,21 +92,7 @@ def push(px, py, pz, dx, dy, dz, length, entry, tip, drag, reach, hole):  # type
 
 @njit(**OPTIONS)
 def push_scatterers(moved, xs, ys, zs, x0, y0, z0, k, field):  # type: ignore[no-untyped-def]
-    """Write the positions of a block's scatterers, displaced by the needle beside them.
-
-    Parameters
-    ----------
-    moved
-        (3, n or more) float32 positions within the block, written.
-    xs, ys, zs
-        (n,) undisplaced positions within the block, in m.
-    x0, y0, z0
-        Corner of the block in T, in m.
-    k
-        Number of the needle's segment nearest to the block.
-    field
-        `FrameField`.
-    """
+    """Write (3, n) positions of a block's scatterers, displaced by segment k of the needle."""
     dx, dy, dz, length, entry, tip = segment_of(field, k)
     x0 -= field.shaft[k, 0]
     y0 -= field.shaft[k, 1]

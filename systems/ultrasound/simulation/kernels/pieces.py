@@ -44,36 +44,23 @@ class Pieces(NamedTuple):
     """(surfaces,) amplitude of each echo by way of the face, relative to the previous one."""
     pulses: NDArray[np.int64]
     """(surfaces,) number of the pulse that follows the echo; 0 for none."""
+    table: NDArray[np.float32]
+    """(kinds (FRACTIONS + 1), widest) pulses: the echo, and those that may follow it."""
+    widths: NDArray[np.int64]
+    """(kinds,) widths of the pulses."""
     reaches: NDArray[np.float64]
     """(n,) shares of the beam's reach in elevation beyond which pieces neither show nor shade."""
 
 
 @njit(**OPTIONS)
-def place_pieces(  # type: ignore[no-untyped-def]
-    seen, places, X_FT, pieces, growth, reach, rays, view, fields, frame
-):
-    """Find the pieces that a frame may see, and where it sees them.
+def place_pieces(seen, places, sights, frame, rays, pieces, growth, reach):  # type: ignore[no-untyped-def]
+    """Find the pieces that a frame may see; return their number.
 
-    Parameters
-    ----------
-    seen, places
-        (n,) numbers of the pieces, and (n, 4) apparent positions in F in m with the cosine of the
-        sound's angle to the normal; both written.
-    X_FT
-        (3, 4) pose of the tissue in F.
-    pieces, growth
-        Pieces, and (surfaces,) distances in m by which each surface is displaced outwards.
-    reach
-        (samples,) half width of the beam in elevation, in m.
-    rays
-        Quantities of the frame's lines.
-    view, fields, frame
-        See `render_surfaces`, and the frame's number.
-
-    Returns
-    -------
-    Number of pieces found.
+    Written are (n,) numbers of pieces, and (n, 4) apparent positions in F in m with the cosine of
+    the sound's angle to the normal. ``growth`` and ``reach`` are the (surfaces,) distances by which
+    surfaces are displaced outwards, and the (samples,) half width of the beam in elevation, in m.
     """
+    view, fields, X_FT = sights.bent, sights.fields, sights.X_FT[frame]
     twist_per_radian = rays.twist * rays.lines_per_radian
     furthest = rays.array_radius + len(reach) / rays.samples_per_metre
     slab = reach.max() + abs(rays.twist) * rays.middle_line * furthest

@@ -31,7 +31,7 @@ _E1, _E2, _E3, _E4 = (np.float32(c) for c in (-0.99994248, 0.49904756, -0.161718
 
 
 class Rays(NamedTuple):
-    """Geometry and phase of a frame's lines, in float32."""
+    """Geometry and phase of a frame's lines, in float32, and what depends on a sample's depth."""
 
     array_radius: np.float32
     centre_offset: np.float32
@@ -43,24 +43,19 @@ class Rays(NamedTuple):
     lead: int
     """Number of samples from the beginning of a pulse to the one before its middle."""
     elevation_lobes: np.float32
-    """Amplitude of its side lobes in elevation."""
+    """Amplitude of a bright point's side lobes in elevation, relative to its main lobe."""
     side_lobes: np.float32
-    """Amplitude of a bright point's side lobes, relative to its main lobe."""
-
-
-class DepthTables(NamedTuple):
-    """Quantities that depend on depth, at every sample."""
-
+    """Amplitude of its other side lobes."""
     elevation_precision: NDArray[np.float32]
-    """Precision of the beam in elevation, 1 / (2 sigma_e^2), in 1/m^2."""
+    """(samples,) precision of the beam in elevation, 1 / (2 sigma_e^2), in 1/m^2."""
     curvature: NDArray[np.float32]
-    """Curvature of the wave fronts in elevation, in 1/m."""
+    """(samples,) curvature of the wave fronts in elevation, in 1/m."""
     share: NDArray[np.float32]
-    """Share of the tile's scatterers that is used."""
+    """(samples,) share of the tile's scatterers that is used."""
     line_sigma: NDArray[np.float32]
-    """Standard deviation sigma_l of the beam, in lines."""
+    """(samples,) standard deviation of the beam, in lines."""
     bright: NDArray[np.float32]
-    """Factor on the amplitude of bright points, since tissue is normalised to 0 dB at any depth."""
+    """(samples,) factor on bright points, since tissue is normalised to 0 dB at any depth."""
 
 
 @njit(**OPTIONS)

@@ -70,26 +70,11 @@ NO_REGIONS = Regions(
 def weigh_scatterers(  # type: ignore[no-untyped-def]
     chosen, count, xs, ys, zs, x0, y0, z0, block_list, cosine, sine, regions, lumens
 ):
-    """Weight the scatterers of one block by the region that they lie in.
+    """Weigh a block's chosen scatterers by the regions they lie in; return the number left.
 
-    Parameters
-    ----------
-    chosen, count
-        Indices of the block's scatterers, and the number of valid ones; scatterers that a region
-        lacks are removed.
-    xs, ys, zs, x0, y0, z0
-        Positions within the block, and its corner, in T, in m.
-    block_list
-        Entry of the block in ``regions.content``.
-    cosine, sine
-        Amplitudes of the scatterers, changed.
-    regions, lumens
-        Regions, and (2, tubes) radii in m and standard deviations in rad of the phases by which
-        flowing blood has turned, at the frame's time.
-
-    Returns
-    -------
-    Number of scatterers left.
+    Positions are in T, within the block and of its corner; ``block_list`` is the block's entry in
+    ``regions.content``. ``lumens`` are (2, tubes) radii in m and standard deviations in rad of the
+    phases by which flowing blood has turned. Amplitudes, cosine and sine, are changed.
     """
     nx, ny, nz = regions.labels.shape
     left = 0

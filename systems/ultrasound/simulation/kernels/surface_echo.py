@@ -34,35 +34,19 @@ _OWN_SHADOW = 2.5e-3
 
 
 @njit(**OPTIONS)
-def _add_piece(  # type: ignore[no-untyped-def]
-    layer,
-    place,
-    times,
-    specular,
-    diffuse,
-    blocked,
-    step,
-    rays,
-    tables,
-    pulses,
-    widths,
-    kind,
-):
-    """Add one piece's echo, or its echo after ``times`` round trips between face and surface.
+def _add_piece(layer, rays, pieces, i, place, times, level, kind):  # type: ignore[no-untyped-def]
+    """Add piece i's echo, or its echo after ``times`` round trips between face and surface.
 
-    Parameters
-    ----------
-    layer
-        `Layer`, added to.
-    place
-        (4,) apparent position in F in m, and the cosine of the sound's angle to the normal.
-    times
-        Number of round trips: 1 for the first echo, 2 for the next, and so on.
-    specular, diffuse, blocked, step
-        See `Pieces`.
-    rays, tables, pulses, widths, kind
-        See `render_surfaces`, and the pulse's number.
+    ``place`` is its apparent position in F in m, with the cosine of the sound's angle to the
+    normal; ``level`` that of this echo relative to the first, and ``kind`` the number of its pulse.
     """
+    first = times == 1 and kind == 0
+    facing = abs(place[3])
+    specular = pieces.specular[i] * level
+    # Echoes after the first one are not in the surface's own shadow.
+    diffuse = pieces.diffuse[i] * facing if times == 1 else 0j
+    blocked = pieces.blocked[i] * facing if first else 0.0
+    step = pieces.steps[i]
     lines, samples = layer.loss.shape
     pad = (layer.echoes.shape[1] // 2 - samples) // 2
     line, e, r = line_coordinates(place[0], place[1], place[2], rays)
@@ -70,11 +54,11 @@ def _add_piece(  # type: ignore[no-untyped-def]
     at = np.int64(depth * rays.samples_per_metre + 0.5)
     if at < 0 or at >= samples:
         return
-    precision_e = tables.elevation_precision[at]
+    precision_e = rays.elevation_precision[at]
     u = precision_e * e * e
     if u > FURTHEST:
         return
-    path = times * (depth + 0.5 * tables.curvature[at] * e * e)
+    path = times * (depth + 0.5 * rays.curvature[at] * e * e)
     sample = path * rays.samples_per_metre
     k = np.int64(sample)
     if sample < 0 or k >= samples:
@@ -86,9 +70,9 @@ def _add_piece(  # type: ignore[no-untyped-def]
     squared = turns * turns
     smooth = np.exp(-(squared ** (_NYQUIST_POWER // 2)))
     row = kind * (FRACTIONS + 1) + np.int64((sample - k) * FRACTIONS + 0.5)
-    width = widths[kind]
+    width = pieces.widths[kind]
     c, s = phasor(np.float32(path * rays.turns_per_metre))
-    bright = tables.bright[at]
+    bright = rays.bright[at]
     real = specular * smooth + diffuse.real
     re = np.float32(bright * (real * c + diffuse.imag * s))
     im = np.float32(bright * (diffuse.imag * c - real * s))
@@ -99,134 +83,66 @@ def _add_piece(  # type: ignore[no-untyped-def]
         furthest = max(furthest, SHADOW_REACH)
     if u > furthest:
         return
-    sigma = tables.line_sigma[at]
+    sigma = rays.line_sigma[at]
     precision = 0.5 / (sigma * sigma)
     reach = np.sqrt((furthest - u) / precision)
-    first = np.int64(max(np.ceil(line - reach), 0.0))
-    last = np.int64(min(np.floor(line + reach), lines - 1.0))
+    lowest = np.int64(max(np.ceil(line - reach), 0.0))
+    highest = np.int64(min(np.floor(line + reach), lines - 1.0))
     share = blocked * np.sqrt(precision_e * precision) / np.pi
     # Parts beyond the furthest count as within.
     share *= rays.lines_per_radian / max(r, 1e-3) / (1 - np.exp(-furthest))
     start = k - rays.lead + pad
     audible = loudness > 0.1 * FAINT_PIECE
-    for j in range(first, last + 1):
+    for j in range(lowest, highest + 1):
         touch(layer, j, start, start + width // 2)
         main = gaussian(np.float32(u + precision * (j - line) * (j - line)))
         if audible:
-            add_pulse(layer.echoes, j, start, pulses, row, width, main * re, main * im)
+            add_pulse(layer.echoes, j, start, pieces.table, row, width, main * re, main * im)
         if blocked > 0:
             layer.loss[j, k] += np.float32(share) * main
 
 
 @njit(**OPTIONS)
-def render_surfaces(  # type: ignore[no-untyped-def]
-    iq, transmission, X_FT, pieces, growth, rays, tables, pulses, widths, view, fields, weakened
-):
-    """Add surfaces to every frame, and weaken the echoes behind them.
+def render_surfaces(iq, transmission, sights, rays, pieces, growth, weakened):  # type: ignore[no-untyped-def]
+    """Add surfaces to every frame, and weaken the echoes behind them, in ``iq`` and transmission.
 
-    Parameters
-    ----------
-    iq
-        (frames, lines, samples) complex64, changed.
-    transmission
-        (frames, lines, samples) float32 factors on echoes from each sample, changed.
-    X_FT
-        (frames, 3, 4) poses of the tissue in each frame's F.
-    pieces
-        Pieces of the surfaces.
-    growth
-        (frames, surfaces) distances in m by which each surface is displaced outwards.
-    rays, tables
-        Quantities of the frames' lines and of each depth.
-    pulses, widths
-        (kinds (FRACTIONS + 1), widest) float32 pulses, and (kinds,) their widths. The first one is
-        the echo; the others follow it.
-    view
-        Apparent positions of points, or `NO_VIEW`.
-    fields
-        Displacements of the tissue, or `NO_DISPLACEMENTS`.
-    weakened
-        Whether the transmission is initially below 1 anywhere.
+    ``growth`` are (frames, surfaces) distances in m by which surfaces are displaced outwards;
+    ``weakened`` says that the transmission is below 1 somewhere from the start.
     """
-    reach = np.sqrt(FURTHEST / tables.elevation_precision)
+    reach = np.sqrt(FURTHEST / rays.elevation_precision)
+    seen = np.empty(len(pieces.points), np.int64)
+    places = np.empty((len(pieces.points), 4))
     for frame in range(len(iq)):
-        _render_frame(
-            iq[frame],
-            transmission[frame],
-            X_FT[frame],
-            pieces,
-            growth[frame],
-            reach,
-            rays,
-            tables,
-            pulses,
-            widths,
-            view,
-            fields,
-            frame,
-            weakened,
-        )
+        count = place_pieces(seen, places, sights, frame, rays, pieces, growth[frame], reach)
+        if count > 0:
+            _render_frame(
+                iq[frame], transmission[frame], rays, pieces, seen[:count], places, weakened
+            )
+        elif weakened:
+            iq[frame] *= transmission[frame]
 
 
 @njit(**OPTIONS)
-def _render_frame(  # type: ignore[no-untyped-def]
-    iq,
-    transmission,
-    X_FT,
-    pieces,
-    growth,
-    reach,
-    rays,
-    tables,
-    pulses,
-    widths,
-    view,
-    fields,
-    frame,
-    weakened,
-):
-    """Add surfaces to one frame; ``reach`` is the (samples,) half width of its beam in m."""
+def _render_frame(iq, transmission, rays, pieces, seen, places, weakened):  # type: ignore[no-untyped-def]
+    """Add the surfaces' pieces that one frame sees."""
     lines, samples = iq.shape
-    pad = pulses.shape[1] // 2
-    seen = np.empty(len(pieces.points), np.int64)
-    places = np.empty((len(pieces.points), 4))
-    count = place_pieces(seen, places, X_FT, pieces, growth, reach, rays, view, fields, frame)
-    if count == 0:
-        if weakened:
-            for j in range(lines):
-                for i in range(samples):
-                    iq[j, i] *= transmission[j, i]
-        return
+    pad = pieces.table.shape[1] // 2
     layer = empty_layer(lines, samples, pad)
-    for number in range(count):
-        i = seen[number]
-        facing = abs(places[number, 3])
-        diffuse = pieces.diffuse[i] * facing
-        blocked = pieces.blocked[i] * facing
-        _add_piece(
-            layer, places[number], 1.0, pieces.specular[i], diffuse, blocked,
-            pieces.steps[i], rays, tables, pulses, widths, 0,
-        )  # fmt: skip
+    for number in range(len(seen)):
+        _add_piece(layer, rays, pieces, seen[number], places[number], 1, 1.0, 0)
     margin = np.int64(_OWN_SHADOW * rays.samples_per_metre)
     cast_shadows(transmission, layer, margin)
-    for number in range(count):
+    for number in range(len(seen)):
         i = seen[number]
-        surface = pieces.surfaces[i]
-        level = pieces.reverberation[surface]
-        kind = pieces.pulses[surface]
-        if level == 0 and kind == 0:
+        level = pieces.reverberation[pieces.surfaces[i]]
+        kind = pieces.pulses[pieces.surfaces[i]]
+        if kind > 0:
+            _add_piece(layer, rays, pieces, i, places[number], 1, 1.0, kind)
             continue
-        # Echoes after the first one are not in the surface's own shadow.
-        diffuse = pieces.diffuse[i] * abs(places[number, 3]) if kind > 0 else 0j
-        times = 1.0 if kind > 0 else 2.0
-        again = 1.0 if kind > 0 else level
+        times = 2
+        again = level
         while again > _FAINTEST:
-            _add_piece(
-                layer, places[number], times, pieces.specular[i] * again,
-                diffuse, 0.0, pieces.steps[i], rays, tables, pulses, widths, kind,
-            )  # fmt: skip
-            if kind > 0:
-                break
+            _add_piece(layer, rays, pieces, i, places[number], times, again, kind)
             again *= level
             times += 1
     join_layer(iq, transmission, layer, weakened)

@@ -106,18 +106,10 @@ def _add_to_row(typing_context, rows, at, table, start, real, imaginary):  # typ
 
 @njit(**OPTIONS)
 def add_pulse(layer, line, sample, pulse, row, width, real, imaginary):  # type: ignore[no-untyped-def]
-    """Add a pulse times a complex amplitude to a line of a layer, from a sample on.
+    """Add a row of a table of pulses times a complex amplitude to a line, from a sample on.
 
-    Parameters
-    ----------
-    layer
-        (lines, 2 samples) float32, real and imaginary parts alternating, added to.
-    line, sample
-        Indices of the line and of the pulse's first sample.
-    pulse, row, width
-        (rows, 2 taps or more) float32 as the layer, the row's number, and its width.
-    real, imaginary
-        Amplitude, float32.
+    Layer and table are 2D float32, real and imaginary parts alternating; ``width`` is that of the
+    pulse.
     """
     at = line * layer.shape[1] + 2 * sample
     start = row * pulse.shape[1]
@@ -129,18 +121,10 @@ def add_pulse(layer, line, sample, pulse, row, width, real, imaginary):  # type:
 
 @njit(**OPTIONS)
 def deposit(accumulator, chosen, count, line, sample, cosine, sine, pulse):  # type: ignore[no-untyped-def]
-    """Add projected scatterers to three lines each, eight numbers (four complex taps) at a time.
+    """Add the chosen scatterers to three lines each, eight numbers (four complex taps) at a time.
 
-    Parameters
-    ----------
-    accumulator
-        (lines, 2 samples) float32, real and imaginary parts alternating, added to.
-    chosen, count
-        Indices of the scatterers, and the number of valid ones.
-    line, sample, cosine, sine
-        (n,) float32 coordinates and complex amplitudes of the scatterers.
-    pulse
-        (FRACTIONS + 1, 2 taps) float32 envelope, every value twice.
+    Line, sample, cosine and sine are (n,) float32 coordinates and amplitudes, ``pulse`` the
+    envelope of `Scattering`.
     """
     width = accumulator.shape[1]
     chunks = pulse.shape[1] // LANES

@@ -18,7 +18,6 @@ from sonoservo.systems.ultrasound.beam import Beam
 from sonoservo.systems.ultrasound.simulation.needles.needle_kernel import NeedleEcho, NeedleView
 from sonoservo.systems.ultrasound.simulation.needles.needle_tip import (
     FACES,
-    NeedleTip,
     tip_axes,
     tip_surface,
     width_left,
@@ -122,19 +121,14 @@ class NeedleEchoParameters:
 
 
 def needle_echo(
-    parameters: NeedleEchoParameters, beam: Beam, reference: int, radius: float
-) -> tuple[NeedleEcho, NeedleTip]:
-    """Return the amplitudes of a needle's points, and the pieces of its tip.
-
-    Parameters
-    ----------
-    parameters
-        Levels of the needle's echo.
-    beam, reference
-        Point spread function, and the sample at which the levels hold.
-    radius
-        Radius of the needle, in m.
-    """
+    parameters: NeedleEchoParameters,
+    beam: Beam,
+    reference: int,
+    phases: NDArray[np.complex128],
+    pulse: NDArray[np.float32],
+    radius: float,
+) -> NeedleEcho:
+    """Return the amplitudes of a needle of a radius in m, with levels that hold at a sample."""
     spacing, specular, diffuse = rod_amplitudes(
         parameters.specular_db, parameters.diffuse_db, beam, reference
     )
@@ -143,7 +137,7 @@ def needle_echo(
     points = int(np.ceil(length / spacing)) + 1
     # In phase, a cylinder's wall adds up to sqrt(pi r / k) exp(-i pi / 4) per metre of its length.
     wall = np.sqrt(radius * beam.wavelength / 2) * np.exp(-0.25j * np.pi)
-    echo = NeedleEcho(
+    return NeedleEcho(
         spacing=spacing,
         specular=specular * thick,
         diffuse=diffuse * thick,
@@ -151,15 +145,17 @@ def needle_echo(
         taper=np.sqrt(width_left(parameters.tip, length, spacing, points)),
         piece=complex(specular * thick / spacing / wall),
         shadow=parameters.shadow,
+        radius=radius,
+        surface=tip_surface(
+            parameters.tip,
+            np.deg2rad(parameters.bevel_deg),
+            radius,
+            (points - 0.5) * spacing,
+            beam.wavelength / _PIECES_PER_WAVELENGTH,
+        ),
+        phases=phases,
+        pulse=pulse,
     )
-    tip = tip_surface(
-        parameters.tip,
-        np.deg2rad(parameters.bevel_deg),
-        radius,
-        (points - 0.5) * spacing,
-        beam.wavelength / _PIECES_PER_WAVELENGTH,
-    )
-    return echo, tip
 
 
 def rough_phases(beam: Beam, rng: np.random.Generator) -> NDArray[np.complex128]:
@@ -184,15 +180,7 @@ def reverberations(
 
 
 class NeedleFading:
-    """Smooth random field of the shaft's level along a needle and over time.
-
-    Parameters
-    ----------
-    parameters
-        Parameters with the strength, length and period of the fading.
-    rng
-        Generator that draws the field.
-    """
+    """Smooth random field of the shaft's level along a needle and over time."""
 
     def __init__(self, parameters: NeedleEchoParameters, rng: np.random.Generator) -> None:
         # A sum of waves has a Gaussian correlation of these lengths.
@@ -218,20 +206,8 @@ def needle_view(
 ) -> NeedleView:
     """Return what a needle's echo depends on in every frame: angle, time and the tip's roll.
 
-    Parameters
-    ----------
-    parameters, fading
-        Parameters of the needle's echo, and its fading.
-    beam
-        Point spread function.
-    needles
-        Needle in T at each frame's time; empty ones are ignored.
-    X_FT
-        (frames, 3, 4) poses of the tissue in each frame's F.
-    centre_offset
-        Distance in m from F's origin back to the array's centre of curvature.
-    times
-        (frames,) times of the frames, in s.
+    Needles are in T at each frame's time, empty ones ignored; ``centre_offset`` is the distance in
+    m from F's origin back to the array's centre of curvature.
     """
     longest = max(needle.length for needle in needles if needle)
     nodes = int(np.ceil(longest / _NODE)) + 2

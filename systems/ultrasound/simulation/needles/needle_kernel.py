@@ -10,6 +10,7 @@ from sonoservo.systems.sampling.kernels import OPTIONS
 from sonoservo.systems.ultrasound.simulation.kernels.bright_echo import add_point, seen_within
 from sonoservo.systems.ultrasound.simulation.kernels.layers import add_layer, empty_layer
 from sonoservo.systems.ultrasound.simulation.kernels.projection import transformed
+from sonoservo.systems.ultrasound.simulation.needles.needle_tip import NeedleTip
 
 
 class NeedleEcho(NamedTuple):
@@ -29,6 +30,14 @@ class NeedleEcho(NamedTuple):
     """Amplitude of the tip's surface per area, where it faces the probe."""
     shadow: float
     """Share of the amplitude that is lost behind a needle in the middle of the beam."""
+    radius: float
+    """Radius of the needle, in m."""
+    surface: NeedleTip
+    """Pieces of the tip's surface."""
+    phases: NDArray[np.complex128]
+    """(n,) phase factors of the diffuse points, tip first; used periodically."""
+    pulse: NDArray[np.float32]
+    """(FRACTIONS + 1, 2 taps) pulse with the reverberations inside the needle."""
 
 
 class NeedleView(NamedTuple):
@@ -54,36 +63,19 @@ class NeedleView(NamedTuple):
 
 
 @njit(**OPTIONS)
-def render_needles(  # type: ignore[no-untyped-def]
-    iq, X_FT, shafts, starts, radius, echo, tip, phases, rays, tables, pulse, view, transmission
-):
+def render_needles(iq, X_FT, rays, shafts, starts, echo, view, transmission):  # type: ignore[no-untyped-def]
     """Add the needle to every frame, with its shadow.
 
-    Parameters
-    ----------
-    iq
-        (frames, lines, samples) complex64, changed.
-    X_FT
-        (frames, 3, 4) poses of the tissue in each frame's F.
-    shafts, starts
-        (m, 3) points in T on the needle's axis, entry first, of all frames together, and
-        (frames + 1,) indices of each frame's first point.
-    radius, echo, tip, phases, rays, tables, pulse, view
-        See `_add_needle` and `_add_tip`.
-    transmission
-        (frames, lines, samples) float32 factors on echoes from behind structures; empty if
-        there are none.
+    Shafts are (m, 3) points in T on the axis, entry first, of all frames together, with (frames +
+    1,) indices of each frame's first; ``transmission`` is empty if nothing lies in the sound's way.
     """
     frames, lines, samples = iq.shape
-    taps = pulse.shape[1] // 2
-    slab = seen_within(samples, rays, tables)
-    layer = empty_layer(lines, samples, taps)
+    layer = empty_layer(lines, samples, echo.pulse.shape[1] // 2)
     for frame in range(frames):
         shaft = shafts[starts[frame] : starts[frame + 1]]
         if len(shaft) > 1:
-            beam = (slab, rays, tables, pulse)
-            seen = _add_tip(layer, X_FT[frame], shaft[-1], echo, tip, view, frame, *beam)
-            seen |= _add_needle(layer, X_FT[frame], shaft, radius, echo, phases, view, frame, *beam)
+            seen = _add_tip(layer, X_FT[frame], rays, shaft[-1], echo, view, frame)
+            seen |= _add_needle(layer, X_FT[frame], rays, shaft, echo, view, frame)
             if seen:
                 _cast_shadow(iq[frame], layer)
                 if len(transmission) > 0:
@@ -92,33 +84,13 @@ def render_needles(  # type: ignore[no-untyped-def]
 
 
 @njit(**OPTIONS)
-def _add_needle(  # type: ignore[no-untyped-def]
-    layer, X_FT, shaft, radius, echo, phases, view, frame, slab, rays, tables, pulse
-):
-    """Add the echo of a needle, point by point from the tip; return True if any point shows.
+def _add_needle(layer, X_FT, rays, shaft, echo, view, frame):  # type: ignore[no-untyped-def]
+    """Add a needle's echo, point by point from the tip; return True if the frame sees any.
 
-    Parameters
-    ----------
-    layer
-        See `add_point`.
-    X_FT
-        (3, 4) pose of the tissue in F.
-    shaft
-        (m, 3) points of the axis in T, entry first.
-    radius
-        Radius of the needle, in m. The front wall, which reflects the sound, is closer than the
-        axis by this distance times the cosine of the angle.
-    echo
-        Amplitudes of the needle's points.
-    phases
-        (n,) phase factors of the diffuse points, tip first; used periodically.
-    view, frame
-        Factors on the echo, and the frame's number.
-    slab
-        Distance in m from the frame's plane beyond which nothing shows.
-    rays, tables, pulse
-        See `add_point`.
+    The front wall, which reflects the sound, is closer than the axis by the radius times the cosine
+    of the angle.
     """
+    slab = seen_within(rays)
     last = view.specular.shape[1] - 2
     number = 0
     along = 0.0
@@ -149,41 +121,22 @@ def _add_needle(  # type: ignore[no-untyped-def]
             diffuse = echo.diffuse * (echo.taper[i] if i < echo.tip else 1.0)
             diffuse *= view.diffuse[frame, node] * (1 - at) + view.diffuse[frame, node + 1] * at
             closer = view.cosine[frame, node] * (1 - at) + view.cosine[frame, node + 1] * at
-            closer *= radius
             if echo.tip <= i < view.dimpled and i % view.dimple_step == 0:
                 diffuse += view.dimple
-            phase = phases[i % len(phases)]
-            real = specular + diffuse * phase.real
-            imaginary = diffuse * phase.imag
+            amplitude = specular + diffuse * echo.phases[i % len(echo.phases)]
             seen |= add_point(
-                layer, x, y, z, closer, real, imaginary, echo.shadow, rays, tables, pulse
+                layer, rays, echo.pulse, (x, y, z), closer * echo.radius, amplitude, echo.shadow
             )
         along -= length
     return seen
 
 
 @njit(**OPTIONS)
-def _add_tip(  # type: ignore[no-untyped-def]
-    layer, X_FT, p_TTip, echo, tip, view, frame, slab, rays, tables, pulse
-):
-    """Add the echo of a tip's surface, piece by piece; return True if any piece shows.
-
-    Parameters
-    ----------
-    layer, rays, tables, pulse
-        See `add_point`.
-    X_FT
-        (3, 4) pose of the tissue in F.
-    p_TTip
-        (3,) end of the needle's axis in T, in m.
-    echo, tip
-        Amplitudes of the needle's points, and the pieces of its tip.
-    view, frame, slab
-        Direction of the needle and of the sound, the frame's number, and the distance in m from its
-        plane beyond which nothing shows.
-    """
+def _add_tip(layer, X_FT, rays, p_TTip, echo, view, frame):  # type: ignore[no-untyped-def]
+    """Add the echo of a tip's surface at (3,) p_TTip; return True if the frame sees any piece."""
+    tip = echo.surface
     x, y, z = transformed(X_FT, p_TTip[0], p_TTip[1], p_TTip[2])
-    if abs(z) > slab + 2 * echo.tip * echo.spacing:
+    if abs(z) > seen_within(rays) + 2 * echo.tip * echo.spacing:
         return False
     axes = view.axes[frame]
     p, q, r = view.towards[frame]
@@ -197,21 +150,13 @@ def _add_tip(  # type: ignore[no-untyped-def]
         if facing <= 0.0:
             continue
         a, b, c = tip.points[i]
-        amplitude = echo.piece * tip.areas[i] * facing
-        shown = add_point(
-            layer,
+        place = (
             x + a * axes[0, 0] + b * axes[1, 0] + c * axes[2, 0],
             y + a * axes[0, 1] + b * axes[1, 1] + c * axes[2, 1],
             z + a * axes[0, 2] + b * axes[1, 2] + c * axes[2, 2],
-            0.0,
-            amplitude.real,
-            amplitude.imag,
-            0.0,
-            rays,
-            tables,
-            pulse,
         )
-        seen |= shown
+        amplitude = echo.piece * tip.areas[i] * facing
+        seen |= add_point(layer, rays, echo.pulse, place, 0.0, amplitude, 0.0)
     return seen
 
 

@@ -53,18 +53,9 @@ def load_needle(name: str) -> NeedleKind:
 
 
 def draw_needle(seed: int) -> dict[str, Any]:
-    """Draw a kind of needle, its gauge and rough level, and the clutter of its images.
+    """Draw a scenario's fields: kind of needle, gauge, rough level, and clutter.
 
     Seeds below 100 draw from the kinds held out, other seeds from those that methods are tuned on.
-
-    Parameters
-    ----------
-    seed
-        Seed of a run.
-
-    Returns
-    -------
-    Fields of a scenario.
     """
     rng = np.random.default_rng([seed, 8])
     kind = load_needle(str(rng.choice(_FAMILIES[seed in HELD_OUT])))

@@ -1,7 +1,7 @@
 """Renderer of a needle's echo in every frame: shaft, tip, reverberation and shadow."""
 
 from collections.abc import Sequence
-from functools import lru_cache, partial
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -10,9 +10,12 @@ from numpy.typing import NDArray
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.sweep import SweepGeometry
 from sonoservo.systems.ultrasound.beam import Beam
-from sonoservo.systems.ultrasound.simulation.kernels.displacement import Displacements
-from sonoservo.systems.ultrasound.simulation.kernels.medium import View, apparent_points
-from sonoservo.systems.ultrasound.simulation.kernels.projection import DepthTables, Rays
+from sonoservo.systems.ultrasound.simulation.kernels.medium import (
+    Sights,
+    View,
+    apparent_points,
+)
+from sonoservo.systems.ultrasound.simulation.kernels.projection import Rays
 from sonoservo.systems.ultrasound.simulation.needles.needle_echo import (
     NeedleEchoParameters,
     NeedleFading,
@@ -21,7 +24,7 @@ from sonoservo.systems.ultrasound.simulation.needles.needle_echo import (
     reverberations,
     rough_phases,
 )
-from sonoservo.systems.ultrasound.simulation.needles.needle_kernel import render_needles
+from sonoservo.systems.ultrasound.simulation.needles.needle_kernel import NeedleEcho, render_needles
 from sonoservo.systems.ultrasound.simulation.pulses import PulseTables
 from sonoservo.systems.ultrasound.simulation.reaction.deformation import moved_needle
 
@@ -31,12 +34,8 @@ _BENT_STEP = 1e-3
 class FrameViews(NamedTuple):
     """Geometry and propagation of a sweep's frames, as needed to render a needle."""
 
-    X_FT: NDArray[np.float64]
-    """(frames, 3, 4) poses of the tissue in each frame's F."""
+    sights: Sights
     rays: Rays
-    tables: DepthTables
-    bent: View
-    """Apparent positions of points."""
     transmission: NDArray[np.float32]
     """(frames, lines, samples) factors on echoes from behind structures; empty if none."""
     times: NDArray[np.float64]
@@ -46,18 +45,8 @@ class FrameViews(NamedTuple):
 class NeedleRenderer:
     """Adds the echoes of one kind of needle to those of the tissue.
 
-    Parameters
-    ----------
-    parameters
-        Parameters of the needle's echo.
-    beam, geometry
-        Point spread function, and geometry of the sweeps with lengths in the tissue.
-    reference
-        Sample at which the levels hold.
-    pulses
-        Pulses of the beam.
-    seeds
-        Random seeds of the needle's surface.
+    Geometry is that of the sweeps with lengths in the tissue; levels hold at the sample
+    ``reference``.
     """
 
     def __init__(
@@ -76,8 +65,8 @@ class NeedleRenderer:
         rng = np.random.default_rng(list(seeds))
         self._phases = rough_phases(beam, rng)
         self._fading = NeedleFading(parameters, rng)
-        self._echoes = lru_cache(maxsize=8)(partial(needle_echo, parameters, beam, reference))
-        self._pulses = lru_cache(maxsize=8)(self._pulse)
+        self._reference = reference
+        self._echo = lru_cache(maxsize=8)(self._make_echo)
 
     @property
     def varies(self) -> bool:
@@ -87,57 +76,36 @@ class NeedleRenderer:
     def add(self, iq: NDArray[np.complex64], needles: Sequence[Needle], views: FrameViews) -> None:
         """Add a needle's echoes to (frames, lines, samples) echoes, with its shadow.
 
-        Parameters
-        ----------
-        iq
-            Echoes, changed.
-        needles
-            Needle in T at each frame's time, possibly empty; all have the same radius.
-        views
-            Geometry and propagation of the frames.
+        Needles are in T at each frame's time, possibly empty, and have the same radius.
         """
-        parameters, X_FT = self._parameters, views.X_FT
+        parameters, (X_FT, _, bent) = self._parameters, views.sights
         offset = self._geometry.array_radius - self._geometry.motor_radius
         view = needle_view(parameters, self._fading, self._beam, needles, X_FT, offset, views.times)
         shafts = [needle.shaft for needle in needles]
-        if len(views.bent.table):
+        if len(bent.table):
             shafts = [
-                _apparent(needle, X, views.bent, frame)
+                _apparent(needle, X, bent, frame)
                 for frame, (needle, X) in enumerate(zip(needles, X_FT, strict=True))
             ]
-        radius = needles[0].radius
-        render_needles(
-            iq,
-            X_FT,
-            np.concatenate(shafts),
-            np.concatenate([[0], np.cumsum([len(shaft) for shaft in shafts])]),
-            radius,
-            *self._echoes(radius),
-            self._phases,
-            views.rays,
-            views.tables,
-            self._pulses(radius),
-            view,
-            views.transmission,
-        )
+        starts = np.concatenate([[0], np.cumsum([len(shaft) for shaft in shafts])])
+        echo, shaft = self._echo(needles[0].radius), np.concatenate(shafts)
+        render_needles(iq, X_FT, views.rays, shaft, starts, echo, view, views.transmission)
 
-    def add_resting(
-        self,
-        iq: NDArray[np.complex64],
-        needle: Needle,
-        field: Displacements,
-        views: FrameViews,
-    ) -> None:
+    def add_resting(self, iq: NDArray[np.complex64], needle: Needle, views: FrameViews) -> None:
         """Add a needle at rest in T, which moves with the tissue if a field deforms it."""
+        field = views.sights.fields
         frames = range(len(iq))
         deformed = len(field.counts) > 0
         moved = [moved_needle(needle, field, f) if deformed else needle for f in frames]
         self.add(iq, moved, views)
 
-    def _pulse(self, radius: float) -> NDArray[np.float32]:
-        """Return the pulse with the reverberations inside a needle of this radius."""
+    def _make_echo(self, radius: float) -> NeedleEcho:
+        """Return the echo of a needle of this radius, with the reverberations inside it."""
         levels, distance = reverberations(self._parameters, radius, self._geometry.sound_speed)
-        return self._tables.tabulate(levels, [n * distance for n in range(len(levels))])
+        pulse = self._tables.tabulate(levels, [n * distance for n in range(len(levels))])
+        return needle_echo(
+            self._parameters, self._beam, self._reference, self._phases, pulse, radius
+        )
 
 
 def _apparent(

@@ -25,20 +25,10 @@ class NeedleTip(NamedTuple):
 
 
 def tip_surface(tip: str, bevel: float, radius: float, length: float, spacing: float) -> NeedleTip:
-    """Divide the surface of a tip into pieces; at a roll of 0, its first face looks up.
+    """Divide the last ``length`` m of a needle into pieces at most ``spacing`` m apart.
 
-    Parameters
-    ----------
-    tip
-        One of the `FACES`.
-    bevel
-        Angle between a face and the axis, in rad.
-    radius
-        Radius of the needle, in m.
-    length
-        Length of the part that is divided, in m; at least that of the faces.
-    spacing
-        Largest distance between pieces, in m.
+    At a roll of 0, the first face looks up; ``bevel`` is the angle between a face and the axis in
+    rad.
     """
     count = FACES[tip]
     turns = 2 * np.pi * np.arange(count) / max(count, 1)
@@ -90,16 +80,10 @@ def tip_surface(tip: str, bevel: float, radius: float, length: float, spacing: f
 
 
 def width_left(tip: str, length: float, spacing: float, count: int) -> Floats:
-    """Return the width of the tip along the needle, relative to the diameter.
+    """Return (count,) widths of a tip, from its end, relative to the diameter.
 
-    A bevel is seen from its face or from its back, and a diamond's cross-section is a triangle.
-
-    Parameters
-    ----------
-    tip, length
-        One of the `FACES`, and the length of the faces along the axis, in m.
-    spacing, count
-        Distance in m between the places from the tip, and their number.
+    Places are ``spacing`` m apart. A bevel is seen from its face or from its back, and a diamond's
+    cross-section is a triangle.
     """
     share = (np.arange(count) + 0.5) * spacing / max(length, spacing)
     if tip == "blunt":

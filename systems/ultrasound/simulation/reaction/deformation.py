@@ -118,17 +118,7 @@ class Deformation(Immutable):
 def moved_needle(
     needle: Needle, field: Displacements, frame: int, *, pushed: bool = True
 ) -> Needle:
-    """Return a needle in T displaced by the field of a frame.
-
-    Parameters
-    ----------
-    needle
-        Needle in T, inside the tissue.
-    field, frame
-        Displacements, and the frame's number.
-    pushed
-        Whether the needle of the field displaces this one too.
-    """
+    """Return a needle in T displaced by the field of a frame, by its needle only if ``pushed``."""
     count = max(int(np.ceil(needle.length / _SPACING)) + 1, len(needle.shaft), 2)
     points = needle.position(np.linspace(0, needle.length, count))
     shaft = displace_points(points, field, frame, pushed)

@@ -16,19 +16,7 @@ from sonoservo.systems.ultrasound.simulation.tissue import Tissue
 def scatterer_regions(
     tissue: Tissue, grid: AnatomyGrid | None, tubes: list[Tube], block_size: float
 ) -> Regions:
-    """Prepare lumens, labels and fat for the scatterers' kernel.
-
-    Parameters
-    ----------
-    tissue
-        Tissue with its box and fat.
-    grid
-        Labels in T, or None.
-    tubes
-        Lumens of vessels.
-    block_size
-        Edge of a block of scatterers in m; block (0, 0, 0) begins at T's origin.
-    """
+    """Prepare lumens, labels and fat for the scatterers' kernel, by blocks."""
     fat = tissue.fat
     if grid is None and not tubes and (fat.thickness == 0 or fat.level_db == 0):
         return NO_REGIONS
