@@ -135,9 +135,9 @@ def check_bounds(value: Any) -> None:
     A field that may be None is not checked while it is; of a list, each element is.
     """
     schema: Any = type(value)
-    for name, bound, of_elements in _bounds(schema):
+    for name, bound, of_elements, optional in _bounds(schema):
         held = getattr(value, name)
-        if held is None:
+        if held is None and optional:
             continue
         if not of_elements:
             require(bound.fits(held), name, held, bound.allowed)
@@ -159,10 +159,14 @@ class Bounded:
 
 
 @cache
-def _bounds(schema: type) -> list[tuple[str, Bound, bool]]:
-    """Return field, bound, and whether it is that of a list's elements, of all bounds."""
+def _bounds(schema: type) -> list[tuple[str, Bound, bool, bool]]:
+    """Return field, bound, if it is that of a list's elements, and if the field may be None."""
     hints = get_type_hints(schema, include_extras=True)
-    return [(each.name, *bound) for each in fields(schema) for bound in _found(hints[each.name])]
+    return [
+        (each.name, *bound, type(None) in get_args(hints[each.name]))
+        for each in fields(schema)
+        for bound in _found(hints[each.name])
+    ]
 
 
 def _found(hint: Any, of_elements: bool = False) -> list[tuple[Bound, bool]]:
