@@ -146,6 +146,11 @@ def check_bounds(value: Any) -> None:
             require(bound.fits(each), f"{name}.{number}", each, bound.allowed)
 
 
+def bounded_fields(schema: type) -> list[str]:
+    """Return the names of a dataclass's fields that have a bound themselves."""
+    return list({name: None for name, _, of_elements, _ in _bounds(schema) if not of_elements})
+
+
 class Bounded:
     """Base of dataclasses whose bounds are checked after construction.
 
@@ -163,10 +168,14 @@ def _bounds(schema: type) -> list[tuple[str, Bound, bool, bool]]:
     """Return field, bound, if it is that of a list's elements, and if the field may be None."""
     hints = get_type_hints(schema, include_extras=True)
     return [
-        (each.name, *bound, type(None) in get_args(hints[each.name]))
+        (each.name, *bound, _may_be_none(hints[each.name]))
         for each in fields(schema)
         for bound in _found(hints[each.name])
     ]
+
+
+def _may_be_none(hint: Any) -> bool:
+    return type(None) in get_args(hint.__origin__ if get_origin(hint) is Annotated else hint)
 
 
 def _found(hint: Any, of_elements: bool = False) -> list[tuple[Bound, bool]]:

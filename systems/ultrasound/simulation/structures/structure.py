@@ -121,6 +121,7 @@ class Structure:
     beside_needle: BesideNeedle | None = None
 
     def __post_init__(self) -> None:
+        check_bounds(self)
         for name in self.POINTS:
             value = np.asarray(getattr(self, name), dtype=float)
             allowed = value.shape[-1:] == (3,) and bool((np.abs(value) <= 2).all())
