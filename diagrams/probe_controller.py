@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 from pydrake.math import RigidTransform
@@ -20,7 +21,7 @@ from sonoservo.systems.control.guard_parameters import GuardParameters
 from sonoservo.systems.control.visual_servo import VisualServo, VisualServoParameters
 from sonoservo.systems.robot.arm import load_arm
 from sonoservo.systems.signals.ports import DiagramBuilder
-from sonoservo.systems.signals.requirements import require, require_within
+from sonoservo.systems.signals.requirements import check_bounds, require, within
 
 MAX_FORCE = 8.0
 """Highest force that the controller may be asked to hold, in N."""
@@ -66,7 +67,7 @@ class ProbeControllerParameters:
         If a parameter is above its ceiling, or the probe's axis points away from the body.
     """
 
-    time_step: float = 0.01
+    time_step: Annotated[float, within(0.0001, 0.1)] = 0.01
     visual_servo: VisualServoParameters = field(default_factory=VisualServoParameters)
     force: ForceControllerParameters = field(default_factory=ForceControllerParameters)
     kinematics: DifferentialKinematicsParameters = field(
@@ -75,7 +76,7 @@ class ProbeControllerParameters:
     guards: GuardParameters = field(default_factory=GuardParameters)
 
     def __post_init__(self) -> None:
-        require_within("time_step", self.time_step, 1e-4, 0.1)
+        check_bounds(self)
         for name, (ceiling, unit) in _CEILINGS.items():
             block, parameter = name.split(".")
             value = getattr(getattr(self, block), parameter)

@@ -8,7 +8,7 @@ import numpy as np
 
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.typed_yaml import dump_typed
-from sonoservo.systems.signals.requirements import require
+from sonoservo.systems.signals.requirements import check_bounds, require
 
 
 @dataclass(kw_only=True)
@@ -49,6 +49,7 @@ class Scenario:
         return f"<{name} {self.name!r}, seed {self.seed}, {self.duration:g} s; to_yaml() has all>"
 
     def __post_init__(self) -> None:
+        check_bounds(self)
         own = type(self).experiment
         require(self.experiment == own, "experiment", self.experiment, repr(own))
         plain = self.name.strip() and not set(self.name) & set("/\\\0")

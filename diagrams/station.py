@@ -36,7 +36,12 @@ from sonoservo.systems.robot.posture import probe_pose, reachable, solve_posture
 from sonoservo.systems.robot.wrist_force_sensor import WristForceSensor, WristSensorParameters
 from sonoservo.systems.signals.body_surface import BodySurface
 from sonoservo.systems.signals.ports import DiagramBuilder
-from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
+from sonoservo.systems.signals.requirements import (
+    NotNegative,
+    Positive,
+    check_bounds,
+    require,
+)
 from sonoservo.systems.ultrasound.simulation.tissue import load_tissue
 
 _ALLOWED = {
@@ -71,10 +76,10 @@ class ProbePlacement:
     x: float = 0.0
     y: float = 0.0
     yaw_deg: float = 0.0
-    height: float = 0.015
+    height: NotNegative = 0.015
 
     def __post_init__(self) -> None:
-        require_not_negative(height=self.height)
+        check_bounds(self)
         for name, value in (("x", self.x), ("y", self.y), ("yaw_deg", self.yaw_deg)):
             require(bool(np.isfinite(value)), name, value, "a number")
 
@@ -118,10 +123,10 @@ class StationParameters:
     sensor_faults: list[SensorFault] = field(default_factory=list)
     pose_delay: PoseDelayParameters = field(default_factory=PoseDelayParameters)
     calibration: CalibrationParameters = field(default_factory=CalibrationParameters)
-    display_period: float = 3 / 32
+    display_period: Positive = 3 / 32
 
     def __post_init__(self) -> None:
-        require_positive(display_period=self.display_period)
+        check_bounds(self)
         step = self.plant.time_step
         require(1e-4 <= step <= 0.02, "plant.time_step", step, "from 0.0001 to 0.02 s")
         for name, allowed in _ALLOWED.items():

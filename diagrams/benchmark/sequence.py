@@ -15,7 +15,7 @@ from sonoservo.diagrams.experiments.following_scene import (
     make_scene,
     observer_events,
 )
-from sonoservo.diagrams.seeds import draw_seeds
+from sonoservo.diagrams.scenario import draw_seeds
 from sonoservo.diagrams.studies.robustness.graded_dials import scenario_of
 from sonoservo.diagrams.studies.robustness.open_loop import MakeMeasuredMotion
 from sonoservo.diagrams.studies.robustness.planned_motion import MotionPlan

@@ -14,7 +14,7 @@ from sonoservo.systems.control.controller_schedule import ControllerChange, Cont
 from sonoservo.systems.files.typed_yaml import merged
 from sonoservo.systems.needle.insertion_parameters import InsertionParameters
 from sonoservo.systems.robot.phantom_motion import PhantomMotionParameters
-from sonoservo.systems.signals.requirements import require, require_time
+from sonoservo.systems.signals.requirements import PositiveTime, require
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
 from sonoservo.systems.ultrasound.scan_converter import ScanConversionParameters
 from sonoservo.systems.ultrasound.simulation.needles.needle_kind import NEEDLE
@@ -84,7 +84,7 @@ class FollowingScenario(Scenario):
     """
 
     experiment: str = "following"
-    duration: float = 30.0
+    duration: PositiveTime = 30.0
     station: StationParameters = field(default_factory=StationParameters)
     phantom: str = PHANTOM
     phantom_motion: PhantomMotionParameters = field(default_factory=PhantomMotionParameters)
@@ -98,7 +98,7 @@ class FollowingScenario(Scenario):
     tracker: AnyTrackerParameters = field(default_factory=Chatelain2013TrackerParameters)
     controller: ProbeControllerParameters = field(default_factory=ProbeControllerParameters)
     controller_changes: list[ControllerChange] = field(default_factory=list)
-    processing_time: float = 0.02
+    processing_time: PositiveTime = 0.02
 
     @classmethod
     def as_published(cls, data: Mapping[str, Any]) -> dict[str, Any]:
@@ -114,7 +114,6 @@ class FollowingScenario(Scenario):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_time(duration=self.duration, processing_time=self.processing_time, positive=True)
         times = [change.time for change in self.controller_changes]
         require(times == sorted(times), "controller_changes", times, "in order of time")
         touch = self.controller.force.touch_force

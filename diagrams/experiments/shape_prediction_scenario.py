@@ -14,7 +14,11 @@ from sonoservo.systems.shape.shape_filters import ShapeFilterChoice
 from sonoservo.systems.shape.shape_least_squares import ShapeLeastSquaresParameters
 from sonoservo.systems.shape.shape_parameters import ShapeEstimatorParameters
 from sonoservo.systems.shape.shape_posterior import ShapeParticleFilterParameters
-from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
+from sonoservo.systems.signals.requirements import (
+    Positive,
+    require,
+    require_not_negative,
+)
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
 from sonoservo.systems.ultrasound.simulation.needles.needle_kind import NEEDLE
 from sonoservo.systems.ultrasound.simulation.scanner_parameters import ScannerParameters
@@ -121,15 +125,15 @@ class ShapePredictionScenario(Scenario):
     """
 
     experiment: str = "shape_prediction"
-    depth: float = 0.14
+    depth: Positive = 0.14
     rotations: list[float] = field(default_factory=list)
     observe_until: float | None = None
-    step: float = 0.5e-3
-    pixel: float = 0.2e-3
+    step: Positive = 0.5e-3
+    pixel: Positive = 0.2e-3
     face: float = -2e-3
     tissue_shift: float = 0.1e-3
     breathing: float = 0.0
-    breathing_period: float = 4.0
+    breathing_period: Positive = 4.0
     phantom: str = "beef"
     probe: str = "trus"
     imaging: ImagingParameters = field(default_factory=_imaging)
@@ -146,7 +150,7 @@ class ShapePredictionScenario(Scenario):
     published: PublishedShapeParameters = field(
         default_factory=SHAPE_FILTERS["published"].parameters
     )
-    processing_time: float = 0.01
+    processing_time: Positive = 0.01
 
     @classmethod
     def as_published(cls, data: Mapping[str, Any]) -> dict[str, Any]:
@@ -161,13 +165,6 @@ class ShapePredictionScenario(Scenario):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_positive(
-            depth=self.depth,
-            step=self.step,
-            pixel=self.pixel,
-            processing_time=self.processing_time,
-        )
-        require_positive(breathing_period=self.breathing_period)
         require_not_negative(
             tissue_shift=self.tissue_shift,
             breathing=self.breathing,

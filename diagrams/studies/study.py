@@ -6,13 +6,13 @@ import time
 from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Annotated, Any, Protocol
 
 from rich.console import Console
 
 from sonoservo.diagrams.studies.store import Store
 from sonoservo.systems.files.writing import to_plain
-from sonoservo.systems.signals.requirements import require
+from sonoservo.systems.signals.requirements import at_least, check_bounds, require
 
 CASES_PER_PROCESS = 10
 """Number of cases after which a process is replaced, as Drake leaks some 20 MB per experiment."""
@@ -47,7 +47,7 @@ class StudyOptions:
     folder: Path
     quick: bool = False
     seeds: int | None = None
-    first_seed: int = 0
+    first_seed: Annotated[int, at_least(0)] = 0
     jobs: int = -1
     cluster: "Executor | None" = None
     console: Console | None = None
@@ -55,7 +55,7 @@ class StudyOptions:
     def __post_init__(self) -> None:
         if self.seeds is not None:
             require(self.seeds >= 1, "seeds", self.seeds, "1 or more")
-        require(self.first_seed >= 0, "first_seed", self.first_seed, "0 or more")
+        check_bounds(self)
         require(self.jobs >= 1 or self.jobs == -1, "jobs", self.jobs, "1 or more, or -1")
 
     def seed_range(self, number: int, quick_number: int) -> range:

@@ -5,9 +5,10 @@ from dataclasses import dataclass
 
 from sonoservo.systems.signals.immutable import Immutable
 from sonoservo.systems.signals.requirements import (
+    Time,
+    check_bounds,
     require_not_negative,
     require_positive,
-    require_time,
 )
 
 
@@ -25,12 +26,12 @@ class ControllerChange:
         Pressing force, in N; None leaves it unchanged.
     """
 
-    time: float = 0.0
+    time: Time = 0.0
     gain: float | None = None
     force: float | None = None
 
     def __post_init__(self) -> None:
-        require_time(time=self.time)
+        check_bounds(self)
         if self.gain is not None:
             require_not_negative(gain=self.gain)
         if self.force is not None:

@@ -22,7 +22,12 @@ from pydrake.systems.framework import (
 from scipy.linalg.lapack import dgesv
 
 from sonoservo.systems.control.joint_limits import keeps_limits
-from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
+from sonoservo.systems.signals.requirements import (
+    NotNegative,
+    check_bounds,
+    require,
+    require_positive,
+)
 from sonoservo.systems.signals.scratch_context import declare_scratch_context, scratch_context
 
 
@@ -42,13 +47,13 @@ class DifferentialKinematicsParameters:
     """
 
     axis: list[float] = field(default_factory=lambda: [0.0, 0.0, -1.0])
-    axis_gain: float = 1.0
-    posture_gain: float = 0.5
+    axis_gain: NotNegative = 1.0
+    posture_gain: NotNegative = 0.5
 
     def __post_init__(self) -> None:
         length = float(np.linalg.norm(self.axis))
         require(len(self.axis) == 3 and length > 0, "axis", self.axis, "3 numbers, not all 0")
-        require_not_negative(axis_gain=self.axis_gain, posture_gain=self.posture_gain)
+        check_bounds(self)
 
 
 _MAX_TILT_SPEED = math.radians(20.0)

@@ -13,7 +13,12 @@ from pydrake.math import RigidTransform
 from pydrake.multibody.math import SpatialForce
 from pydrake.multibody.tree import UniformGravityFieldElement
 
-from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
+from sonoservo.systems.signals.requirements import (
+    NotNegative,
+    Positive,
+    check_bounds,
+    require,
+)
 
 
 @dataclass(kw_only=True)
@@ -42,30 +47,18 @@ class ForceControllerParameters:
         Highest speed away from the phantom, in m/s.
     """
 
-    force: float = 2.0
-    proportional_gain: float = 0.02
-    integral_gain: float = 0.1
-    filter_time: float = 0.02
-    touch_force: float = 0.4
-    release_force: float = 0.2
-    integral_band: float = 0.5
-    approach_speed: float = 0.01
-    retreat_speed: float = 0.05
+    force: Positive = 2.0
+    proportional_gain: Positive = 0.02
+    integral_gain: NotNegative = 0.1
+    filter_time: NotNegative = 0.02
+    touch_force: Positive = 0.4
+    release_force: Positive = 0.2
+    integral_band: NotNegative = 0.5
+    approach_speed: Positive = 0.01
+    retreat_speed: Positive = 0.05
 
     def __post_init__(self) -> None:
-        require_positive(
-            force=self.force,
-            proportional_gain=self.proportional_gain,
-            touch_force=self.touch_force,
-            release_force=self.release_force,
-            approach_speed=self.approach_speed,
-            retreat_speed=self.retreat_speed,
-        )
-        require_not_negative(
-            integral_gain=self.integral_gain,
-            filter_time=self.filter_time,
-            integral_band=self.integral_band,
-        )
+        check_bounds(self)
         order = self.release_force <= self.touch_force < self.force
         require(order, "touch_force", self.touch_force, "at least release_force and below force")
 

@@ -2,14 +2,18 @@
 
 import math
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 
 from sonoservo.systems.signals.requirements import (
+    Bounded,
+    NotNegative,
+    Positive,
+    check_bounds,
     require,
-    require_not_negative,
-    require_positive,
     require_within,
+    within,
 )
 
 PEAK, LONGEST = 15.0, 0.05
@@ -28,7 +32,7 @@ sample, for the next one that confirms it, and for the command."""
 
 
 @dataclass(kw_only=True)
-class WristSensorLimits:
+class WristSensorLimits(Bounded):
     """Limits within which the wrist sensor's samples are plausible.
 
     Parameters
@@ -47,17 +51,11 @@ class WristSensorLimits:
         Longest time in s by which the samples may lag behind the arm's motion.
     """
 
-    max_force: float = 60.0
-    max_torque: float = 20.0
-    frozen_after: float = 0.05
-    confirmed_after: float = 0.025
-    max_latency: float = 0.1
-
-    def __post_init__(self) -> None:
-        require_positive(max_force=self.max_force, max_torque=self.max_torque)
-        require_within("frozen_after", self.frozen_after, 0.0, 0.2)
-        require_within("confirmed_after", self.confirmed_after, 0.0, 0.05)
-        require_within("max_latency", self.max_latency, 0.0, 0.1)
+    max_force: Positive = 60.0
+    max_torque: Positive = 20.0
+    frozen_after: Annotated[float, within(0.0, 0.2)] = 0.05
+    confirmed_after: Annotated[float, within(0.0, 0.05)] = 0.025
+    max_latency: Annotated[float, within(0.0, 0.1)] = 0.1
 
 
 @dataclass(kw_only=True)
@@ -130,7 +128,7 @@ class GuardParameters:
     max_acceleration: float = 10.0
     max_joint_acceleration: float = 40.0
     max_pose_error: float = 0.01
-    pose_frozen_after: float = 0.1
+    pose_frozen_after: NotNegative = 0.1
     retreat_speed: float = 0.3
     retreat_acceleration: float = 10.0
     clearance: float = 0.02
@@ -170,7 +168,7 @@ class GuardParameters:
             ("resume_after", 0.1, 60.0),
         ):
             require_within(name, getattr(self, name), low, high)
-        require_not_negative(pose_frozen_after=self.pose_frozen_after)
+        check_bounds(self)
         time = time_above(self.max_force, self.retreat_speed, self.retreat_acceleration)
         require(
             time <= LONGEST,

@@ -17,14 +17,18 @@ from sonoservo.systems.control.visual_features import (
 )
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
 from sonoservo.systems.signals.ports import declare_inputs, declare_output, evaluate_port
-from sonoservo.systems.signals.requirements import require_not_negative, require_positive
+from sonoservo.systems.signals.requirements import (
+    Bounded,
+    NotNegative,
+    Positive,
+)
 
 _FOLLOWED = (TrackingMode.TRACKING, TrackingMode.COASTING)
 """Modes in which an estimate is followed."""
 
 
 @dataclass(kw_only=True)
-class VisualServoParameters:
+class VisualServoParameters(Bounded):
     """Parameters of the visual servo.
 
     Parameters
@@ -56,28 +60,15 @@ class VisualServoParameters:
         seen from the probe's present pose.
     """
 
-    gain: float = 1.6
+    gain: NotNegative = 1.6
     feed_forward: bool = True
-    min_speed: float = 1.5e-3
-    min_inclination_deg: float = 10.0
-    stale_after: float = 1.5
-    max_tip_std: float = 0.025
-    max_speed: float = 0.03
-    max_angular_speed_deg: float = 20.0
+    min_speed: NotNegative = 1.5e-3
+    min_inclination_deg: NotNegative = 10.0
+    stale_after: Positive = 1.5
+    max_tip_std: Positive = 0.025
+    max_speed: Positive = 0.03
+    max_angular_speed_deg: Positive = 20.0
     held: bool = False
-
-    def __post_init__(self) -> None:
-        require_positive(
-            stale_after=self.stale_after,
-            max_tip_std=self.max_tip_std,
-            max_speed=self.max_speed,
-            max_angular_speed_deg=self.max_angular_speed_deg,
-        )
-        require_not_negative(
-            gain=self.gain,
-            min_speed=self.min_speed,
-            min_inclination_deg=self.min_inclination_deg,
-        )
 
 
 def hold_reason(estimate: NeedleEstimate, time: float, parameters: VisualServoParameters) -> str:

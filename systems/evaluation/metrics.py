@@ -22,7 +22,11 @@ from sonoservo.systems.evaluation.run_errors import (
 from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.evaluation.success import TrackedVolumes, from_needle, run_outcome
 from sonoservo.systems.signals.needle_estimate import TrackingMode
-from sonoservo.systems.signals.requirements import require_not_negative, require_positive
+from sonoservo.systems.signals.requirements import (
+    Positive,
+    check_bounds,
+    require_not_negative,
+)
 from sonoservo.systems.signals.search_reason import ReasonCount
 
 
@@ -52,21 +56,17 @@ class MetricsParameters:
         Time from the first contact until the force counts as settled, in s.
     """
 
-    rest_speed: float = 0.2e-3
-    rest_window: float = 1.0
+    rest_speed: Positive = 0.2e-3
+    rest_window: Positive = 1.0
     rest_time: float = 3.0
     min_length: float = 15e-3
-    start_tolerance: float = 10e-3
+    start_tolerance: Positive = 10e-3
     force_target: float | None = 2.0
     contact_threshold: float = 0.05
     settling_time: float = 2.0
 
     def __post_init__(self) -> None:
-        require_positive(
-            rest_speed=self.rest_speed,
-            rest_window=self.rest_window,
-            start_tolerance=self.start_tolerance,
-        )
+        check_bounds(self)
         require_not_negative(
             rest_time=self.rest_time,
             min_length=self.min_length,

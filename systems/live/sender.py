@@ -1,15 +1,15 @@
-"""Base class of the leaves that send values over a live connection."""
+"""The leaf that sends values over a live connection."""
 
-from abc import abstractmethod
 from typing import Protocol
 
+from pydrake.common.value import Value
+from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, LeafSystem
 
 from sonoservo.systems.live.connection.items import Item
+from sonoservo.systems.live.feeds import Feed
+from sonoservo.systems.signals.ports import declare_inputs, evaluate
 from sonoservo.systems.signals.requirements import require_not_negative, require_positive
-
-KEEP = 2
-"""Number of large values that wait for a slow receiver; it gets the newest."""
 
 
 class Outlet(Protocol):
@@ -23,19 +23,32 @@ class Outlet(Protocol):
 class Sender(LeafSystem):
     """Sends what its inputs hold, at fixed times or whenever it is asked to publish.
 
+    .. pydrake_system::
+
+        name: Sender
+        input_ports:
+        - those of the feed, such as volume or estimate
+
     Parameters
     ----------
     outlet
         Connections to send to.
+    feed
+        Inputs, and the messages that are made of them, such as `volume_feed`.
     period, offset
-        Period and offset of the times at which it sends, in s.
+        Period and offset of the times at which it sends, in s: a moment after the tracker's.
     """
 
-    def __init__(self, *, outlet: Outlet, period: float, offset: float = 0.0) -> None:
+    def __init__(self, *, outlet: Outlet, feed: Feed, period: float, offset: float = 0.0) -> None:
         super().__init__()
         require_positive(period=period)
         require_not_negative(offset=offset)
-        self._outlet = outlet
+        self._outlet, self._feed = outlet, feed
+        for name, types in feed.inputs.items():
+            if types is RigidTransform:
+                self.DeclareAbstractInputPort(name, Value(RigidTransform()))
+            else:
+                declare_inputs(self, **{name: types})
         self._start()
         self.DeclareInitializationPublishEvent(publish=lambda context: self._start())
         self.DeclarePeriodicPublishEvent(period, offset, self._publish)
@@ -45,13 +58,12 @@ class Sender(LeafSystem):
         """Forget the values of an earlier run."""
         self._newest = -float("inf")
 
-    def _is_new(self, time: float) -> bool:
-        """Note the time of a value in s; return True if no value of that time or later was seen."""
-        new = time > self._newest
-        if new:
-            self._newest = time
-        return new
-
-    @abstractmethod
     def _publish(self, context: Context) -> None:
-        """Send what the inputs hold, if it is new."""
+        feed, time = self._feed, context.get_time()
+        values = {name: evaluate(self, context, name, kind) for name, kind in feed.inputs.items()}
+        if feed.stamp is not None:
+            stamp = feed.stamp(**values)
+            if stamp is None or stamp <= self._newest:
+                return
+            self._newest = stamp
+        self._outlet.send(feed.items(time, **values), topic=feed.topic, keep=feed.keep)

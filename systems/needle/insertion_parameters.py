@@ -1,18 +1,22 @@
 """Parameters of an insertion: the needle, its path and the hand or template that pushes it."""
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sonoservo.systems.signals.bicycle_paths import require_rising
 from sonoservo.systems.signals.requirements import (
+    Bounded,
+    NotNegative,
+    Positive,
+    PositiveTime,
+    check_bounds,
     require,
-    require_not_negative,
-    require_positive,
     require_time,
     require_within,
+    within,
 )
 
 OUTER_DIAMETER = {
@@ -57,7 +61,7 @@ class Push:
         push, by at most 45 deg. One that is outside is aimed anew at once.
     """
 
-    duration: float = 1.0
+    duration: PositiveTime = 1.0
     speed: float = 0.0
     turning_deg: float = 0.0
     entry: list[float] | None = None
@@ -65,7 +69,7 @@ class Push:
     dip_deg: float | None = None
 
     def __post_init__(self) -> None:
-        require_time(duration=self.duration, positive=True)
+        check_bounds(self)
         turning_deg, dip_deg = self.turning_deg, self.dip_deg
         require(abs(turning_deg) <= 720, "turning_deg", turning_deg, "from -720 to 720 deg/s")
         allowed = dip_deg is None or abs(dip_deg) <= 90
@@ -84,7 +88,7 @@ class Push:
 
 
 @dataclass(kw_only=True)
-class FeedParameters:
+class FeedParameters(Bounded):
     """Feed through a template, at constant speed along the aimed direction.
 
     Parameters
@@ -100,14 +104,10 @@ class FeedParameters:
         Length of the straight needle between the template and the entry, in m.
     """
 
-    speed: float = 0.01
-    depth: float = 0.14
-    lead: float = 2e-3
-    template: float = 10e-3
-
-    def __post_init__(self) -> None:
-        require_positive(speed=self.speed, depth=self.depth, template=self.template)
-        require_not_negative(lead=self.lead)
+    speed: Positive = 0.01
+    depth: Positive = 0.14
+    lead: NotNegative = 2e-3
+    template: Positive = 10e-3
 
 
 @dataclass(kw_only=True)
@@ -186,25 +186,25 @@ class InsertionParameters:
     entry_spread: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
     azimuth_deg: float = 0.0
     dip_deg: float = 0.0
-    angle_spread_deg: float = 0.0
-    azimuth_spread_deg: float = 0.0
+    angle_spread_deg: NotNegative = 0.0
+    azimuth_spread_deg: NotNegative = 0.0
     bend_radius: float | None = None
-    bend_radius_spread: float = 0.0
+    bend_radius_spread: NotNegative = 0.0
     mechanics: str = "bicycle"
     bend_roll_deg: float = 0.0
-    bend_roll_spread_deg: float = 0.0
-    bend_angle_spread_deg: float = 0.0
-    roll_spread_deg: float = 0.0
+    bend_roll_spread_deg: NotNegative = 0.0
+    bend_angle_spread_deg: Annotated[float, within(0, 20, " deg")] = 0.0
+    roll_spread_deg: NotNegative = 0.0
     rotations: list[float] = field(default_factory=list)
-    rotation_depth_spread: float = 0.0
-    rotation_angle_spread_deg: float = 0.0
-    bend_drift_spread_deg: float = 0.0
-    curvature_wander: float = 0.0
-    wander_length: float = 0.02
+    rotation_depth_spread: NotNegative = 0.0
+    rotation_angle_spread_deg: NotNegative = 0.0
+    bend_drift_spread_deg: NotNegative = 0.0
+    curvature_wander: NotNegative = 0.0
+    wander_length: Positive = 0.02
     start: float | None = None
     pushes: list[Push] = field(default_factory=list)
-    ramp: float = 0.5
-    tremor: float = 0.0
+    ramp: Positive = 0.5
+    tremor: NotNegative = 0.0
     feed: FeedParameters | None = None
 
     def __post_init__(self) -> None:
@@ -227,27 +227,9 @@ class InsertionParameters:
             "three lengths in m of at least 0",
         )
         require(abs(self.dip_deg) <= 90, "dip_deg", self.dip_deg, "from -90 to 90 deg")
-        require_not_negative(
-            angle_spread_deg=self.angle_spread_deg,
-            azimuth_spread_deg=self.azimuth_spread_deg,
-            bend_radius_spread=self.bend_radius_spread,
-            bend_roll_spread_deg=self.bend_roll_spread_deg,
-            roll_spread_deg=self.roll_spread_deg,
-            rotation_depth_spread=self.rotation_depth_spread,
-            rotation_angle_spread_deg=self.rotation_angle_spread_deg,
-            bend_drift_spread_deg=self.bend_drift_spread_deg,
-            curvature_wander=self.curvature_wander,
-            tremor=self.tremor,
-        )
+        check_bounds(self)
         require_time(start=self.start or 0.0)
         require_within("initial_depth", self.initial_depth or 0.0, 0, _MAX_LENGTH)
-        require_positive(wander_length=self.wander_length, ramp=self.ramp)
-        require(
-            0 <= self.bend_angle_spread_deg <= 20,
-            "bend_angle_spread_deg",
-            self.bend_angle_spread_deg,
-            "from 0 to 20 deg",
-        )
         require_rising(self.rotations)
         gaps = np.diff([0.0, *self.rotations])
         require(

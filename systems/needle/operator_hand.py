@@ -14,11 +14,11 @@ from sonoservo.systems.needle.insertion_parameters import Push
 from sonoservo.systems.signals.immutable import Immutable
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.ports import declare_output
-from sonoservo.systems.signals.requirements import require_positive
+from sonoservo.systems.signals.requirements import Bounded, Positive
 
 
 @dataclass(kw_only=True)
-class OperatorHandParameters:
+class OperatorHandParameters(Bounded):
     """Parameters of a hand that follows an operator's target.
 
     Parameters
@@ -32,12 +32,9 @@ class OperatorHandParameters:
         Highest rate at which the needle is turned about its axis, in deg/s.
     """
 
-    period: float = 1 / 16
-    speed: float = 0.012
-    turning_deg: float = 90.0
-
-    def __post_init__(self) -> None:
-        require_positive(period=self.period, speed=self.speed, turning_deg=self.turning_deg)
+    period: Positive = 1 / 16
+    speed: Positive = 0.012
+    turning_deg: Positive = 90.0
 
 
 @dataclass(frozen=True, eq=False)

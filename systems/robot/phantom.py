@@ -28,7 +28,11 @@ from sonoservo.systems.files.model_file import model_file, read_once, read_secti
 from sonoservo.systems.files.typed_yaml import load_typed
 from sonoservo.systems.robot.motors import motors
 from sonoservo.systems.signals.body_surface import BodySurface
-from sonoservo.systems.signals.requirements import require_not_negative, require_positive
+from sonoservo.systems.signals.requirements import (
+    Bounded,
+    NotNegative,
+    Positive,
+)
 
 _TRAY, _POST = 0.006, 0.1
 """Heights of the tray and the post on which the phantom stands, in m."""
@@ -43,7 +47,7 @@ _STAGE_GAINS = PdControllerGains(p=1e7, d=1e5)
 
 
 @dataclass(kw_only=True)
-class PhantomContact:
+class PhantomContact(Bounded):
     """Contact properties of the phantom's surface, calibrated together with the probe's dome.
 
     Parameters
@@ -60,19 +64,10 @@ class PhantomContact:
         on dry skin (Zhang and Mak 1999).
     """
 
-    hydroelastic_modulus: float = 67e3
-    hunt_crossley_dissipation: float = 1.0
-    point_contact_stiffness: float = 600.0
-    friction: float = 0.02
-
-    def __post_init__(self) -> None:
-        require_positive(
-            hydroelastic_modulus=self.hydroelastic_modulus,
-            point_contact_stiffness=self.point_contact_stiffness,
-        )
-        require_not_negative(
-            hunt_crossley_dissipation=self.hunt_crossley_dissipation, friction=self.friction
-        )
+    hydroelastic_modulus: Positive = 67e3
+    hunt_crossley_dissipation: NotNegative = 1.0
+    point_contact_stiffness: Positive = 600.0
+    friction: NotNegative = 0.02
 
 
 def load_contact(name: str) -> PhantomContact:

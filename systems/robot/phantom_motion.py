@@ -10,8 +10,9 @@ from pydrake.trajectories import FunctionHandleTrajectory, PiecewisePolynomial, 
 
 from sonoservo.systems.signals.requirements import (
     MAX_TIME,
+    Time,
+    check_bounds,
     require,
-    require_time,
     require_within,
 )
 
@@ -30,13 +31,13 @@ class Move:
         (3,) change of roll, pitch and yaw about the rest pose's axes, in deg.
     """
 
-    start: float = 0.0
+    start: Time = 0.0
     duration: float = 1.0
     translation: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
     rotation_deg: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
 
     def __post_init__(self) -> None:
-        require_time(start=self.start)
+        check_bounds(self)
         require_within("duration", self.duration, 1e-3, MAX_TIME)
         require(len(self.translation) == 3, "translation", self.translation, "three lengths in m")
         for length in self.translation:

@@ -29,7 +29,7 @@ from pydrake.multibody.tree import (
 from pydrake.systems.framework import DiagramBuilder
 
 from sonoservo.systems.robot.directives import add_directives
-from sonoservo.systems.signals.requirements import require, require_positive
+from sonoservo.systems.signals.requirements import Positive, check_bounds, require
 
 _FLAT = 1.0
 """Radius of curvature in m from which a face counts as flat."""
@@ -56,8 +56,8 @@ class AssumedBody:
     """
 
     dome: list[float] = field(default_factory=list)
-    mass: float = 0.5
-    length: float = 0.2
+    mass: Positive = 0.5
+    length: Positive = 0.2
 
     def __post_init__(self) -> None:
         require(
@@ -66,7 +66,7 @@ class AssumedBody:
             self.dome,
             "three lengths above 0, in m",
         )
-        require_positive(mass=self.mass, length=self.length)
+        check_bounds(self)
 
 
 def _in_line_with_the_flange() -> Transform:

@@ -9,7 +9,13 @@ from pydrake.multibody.math import SpatialForce
 from pydrake.multibody.tree import JointIndex
 from pydrake.systems.framework import Context, LeafSystem
 
-from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
+from sonoservo.systems.signals.requirements import (
+    NotNegative,
+    check_bounds,
+    require,
+    require_not_negative,
+    require_positive,
+)
 
 
 @dataclass(kw_only=True)
@@ -26,15 +32,15 @@ class WristSensorParameters:
         Rate at which the error of each of the wrist sensor's components grows, in N/s and N m/s.
     """
 
-    force_noise: float = 0.02
-    torque_noise: float = 0.001
+    force_noise: NotNegative = 0.02
+    torque_noise: NotNegative = 0.001
     force_bias: float = 0.0
     torque_bias: float = 0.0
     force_drift: float = 0.0
     torque_drift: float = 0.0
 
     def __post_init__(self) -> None:
-        require_not_negative(force_noise=self.force_noise, torque_noise=self.torque_noise)
+        check_bounds(self)
         for name in ("force_bias", "torque_bias", "force_drift", "torque_drift"):
             value = getattr(self, name)
             require(bool(np.isfinite(value)), name, value, "a number")

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,13 @@ from sonoservo.systems.signals.cross_section import CrossSection
 from sonoservo.systems.signals.image_slice import ImageSlice
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle_shape import NeedleShape
-from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
+from sonoservo.systems.signals.requirements import (
+    NotNegative,
+    Positive,
+    check_bounds,
+    require,
+    within,
+)
 
 Floats = NDArray[np.float64]
 
@@ -68,9 +75,9 @@ class CrossSectionParameters:
     """
 
     start: list[float] | None = None
-    start_reach: float = 1.6e-3
-    start_slices: int = 4
-    follow_shape_from: float = 10e-3
+    start_reach: Positive = 1.6e-3
+    start_slices: Annotated[int, within(1, 20)] = 4
+    follow_shape_from: NotNegative = 10e-3
     template: list[float] = field(default_factory=lambda: [6e-3, 6e-3])
     deviations: str = "brighter"
     position: str = "front"
@@ -78,14 +85,12 @@ class CrossSectionParameters:
     min_contrast_db: float = 12.0
     vertex: list[float] = field(default_factory=lambda: [0.6e-3, 0.2e-3])
     search: list[float] = field(default_factory=lambda: [0.8e-3, 1.1e-3])
-    needle_radius: float = 0.635e-3
+    needle_radius: Positive = 0.635e-3
 
     def __post_init__(self) -> None:
         if self.start is not None:
             require(len(self.start) == 2, "start", self.start, "two coordinates in m")
-        require(1 <= self.start_slices <= 20, "start_slices", self.start_slices, "from 1 to 20")
-        require_not_negative(follow_shape_from=self.follow_shape_from)
-        require_positive(needle_radius=self.needle_radius, start_reach=self.start_reach)
+        check_bounds(self)
         for name in ("template", "vertex", "search"):
             value = getattr(self, name)
             require(len(value) == 2 and min(value) > 0, name, value, "two lengths in m above 0")

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonoservo.systems.signals.needle_shape import path_statistics
-from sonoservo.systems.signals.requirements import require, require_positive
+from sonoservo.systems.signals.requirements import Positive, check_bounds, require
 
 Floats = NDArray[np.float64]
 
@@ -33,13 +33,13 @@ class MeasurementNoise:
         weight falls in inverse proportion (Huber).
     """
 
-    std: float = 0.12e-3
-    confidence: float = 10.0
+    std: Positive = 0.12e-3
+    confidence: Positive = 10.0
     independence: float = 0.9
-    outlier: float = 3.0
+    outlier: Positive = 3.0
 
     def __post_init__(self) -> None:
-        require_positive(std=self.std, confidence=self.confidence, outlier=self.outlier)
+        check_bounds(self)
         allowed = "above 0 and at most 1"
         require(0 < self.independence <= 1, "independence", self.independence, allowed)
 

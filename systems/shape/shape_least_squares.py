@@ -6,7 +6,7 @@ cross-sections. The uncertainty is the normal distribution with the same curvatu
 """
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ from sonoservo.systems.shape.shape_parameters import ShapeEstimatorParameters
 from sonoservo.systems.signals.bicycle_paths import deflections
 from sonoservo.systems.signals.immutable import Immutable
 from sonoservo.systems.signals.needle_shape import bicycle_paths
-from sonoservo.systems.signals.requirements import require
+from sonoservo.systems.signals.requirements import at_least
 
 Floats = NDArray[np.float64]
 
@@ -40,13 +40,12 @@ class ShapeLeastSquaresParameters(ShapeEstimatorParameters):
         Noise of the measured cross-sections.
     """
 
-    samples: int = 200
+    samples: Annotated[int, at_least(20)] = 200
     min_radius: float = 0.2
     noise: MeasurementNoise = field(default_factory=MeasurementNoise)
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require(self.samples >= 20, "samples", self.samples, "at least 20")
         self._require_min_radius(self.min_radius)
 
 

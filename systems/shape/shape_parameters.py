@@ -6,7 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonoservo.systems.signals.bicycle_paths import require_rising
-from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
+from sonoservo.systems.signals.requirements import (
+    Positive,
+    check_bounds,
+    require,
+    require_not_negative,
+)
 
 Floats = NDArray[np.float64]
 
@@ -42,20 +47,15 @@ class ShapeEstimatorParameters:
         If a rotation lies outside the insertion or a value is out of range.
     """
 
-    depth: float = 0.14
+    depth: Positive = 0.14
     rotations: list[float] = field(default_factory=list)
     observe_until: float | None = None
-    mean_radius: float = 1.5
-    radius_std: float = 0.6
-    angle_std_deg: float = 5.0
+    mean_radius: Positive = 1.5
+    radius_std: Positive = 0.6
+    angle_std_deg: Positive = 5.0
 
     def __post_init__(self) -> None:
-        require_positive(
-            depth=self.depth,
-            mean_radius=self.mean_radius,
-            radius_std=self.radius_std,
-            angle_std_deg=self.angle_std_deg,
-        )
+        check_bounds(self)
         require_rising(self.rotations)
         require(
             not self.rotations or self.rotations[-1] < self.depth,

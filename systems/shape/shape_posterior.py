@@ -28,9 +28,10 @@ from sonoservo.systems.signals.bicycle_paths import deflections
 from sonoservo.systems.signals.curvature_wander import wander_modes
 from sonoservo.systems.signals.immutable import Immutable
 from sonoservo.systems.signals.requirements import (
-    require,
-    require_not_negative,
-    require_positive,
+    Bounded,
+    NotNegative,
+    Positive,
+    PositiveInt,
     require_within,
 )
 
@@ -38,7 +39,7 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(kw_only=True)
-class WanderParameters:
+class WanderParameters(Bounded):
     """Prior of the curvature's wander, as a Gaussian process along the path.
 
     Parameters
@@ -57,22 +58,12 @@ class WanderParameters:
         Standard deviation in m of the Gaussian that smooths white noise to such a curvature.
     """
 
-    amplitude: float = 0.1
-    spread: float = 0.6
-    across: float = 0.03
-    across_spread: float = 0.6
-    most: float = 0.5
-    length: float = 0.02
-
-    def __post_init__(self) -> None:
-        require_not_negative(amplitude=self.amplitude)
-        require_positive(
-            spread=self.spread,
-            across=self.across,
-            across_spread=self.across_spread,
-            most=self.most,
-            length=self.length,
-        )
+    amplitude: NotNegative = 0.1
+    spread: Positive = 0.6
+    across: Positive = 0.03
+    across_spread: Positive = 0.6
+    most: Positive = 0.5
+    length: Positive = 0.02
 
 
 def combined_wander(
@@ -123,14 +114,13 @@ class ShapeParticleFilterParameters(ShapeEstimatorParameters):
 
     particles: int = 500
     min_radius: float = 0.2
-    moves: int = 3
+    moves: PositiveInt = 3
     noise: MeasurementNoise = field(default_factory=MeasurementNoise)
     wander: WanderParameters = field(default_factory=WanderParameters)
 
     def __post_init__(self) -> None:
         super().__post_init__()
         require_within("particles", self.particles, 50, MAX_PARTICLES)
-        require(self.moves >= 1, "moves", self.moves, "at least 1")
         self._require_min_radius(self.min_radius)
 
 

@@ -8,7 +8,7 @@ from pydrake.math import RigidTransform
 
 from sonoservo.systems.sampling.interpolation import sample_grid
 from sonoservo.systems.signals.immutable import Immutable, read_only
-from sonoservo.systems.signals.requirements import require, require_positive
+from sonoservo.systems.signals.requirements import Positive, check_bounds, require, require_positive
 from sonoservo.systems.signals.sweep import DECIBELS_PER_LEVEL
 
 
@@ -47,7 +47,7 @@ class ImageSlice(Immutable):
     X_WP: RigidTransform
     time: float
     apex: float = -np.inf
-    decibels_per_level: float = DECIBELS_PER_LEVEL
+    decibels_per_level: Positive = DECIBELS_PER_LEVEL
 
     def __post_init__(self) -> None:
         array = read_only(self.intensities, "intensities", (None, None), np.uint8)
@@ -59,7 +59,7 @@ class ImageSlice(Immutable):
         object.__setattr__(self, "spacing", read_only(self.spacing, "spacing", (2,)))
         require_positive(**{f"spacing[{axis}]": s for axis, s in enumerate(self.spacing)})
         require(bool(np.isfinite(self.time)), "time", self.time, "finite")
-        require_positive(decibels_per_level=self.decibels_per_level)
+        check_bounds(self)
 
     def position(self, index: ArrayLike) -> NDArray[np.float64]:
         """Return the (..., 2) x and y in P, in m, of elements; fractional indices are allowed."""

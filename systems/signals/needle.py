@@ -8,7 +8,7 @@ from pydrake.math import RigidTransform
 
 from sonoservo.systems.signals.immutable import Immutable, read_only
 from sonoservo.systems.signals.needle_curve import NeedleCurve
-from sonoservo.systems.signals.requirements import require, require_positive
+from sonoservo.systems.signals.requirements import Positive, check_bounds, require
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +34,7 @@ class Needle(Immutable):
     """
 
     shaft: NDArray[np.float64]
-    radius: float
+    radius: Positive
     aim: NDArray[np.float64] | None = None
     roll: float = 0.0
     track: NDArray[np.float64] | None = None
@@ -48,7 +48,7 @@ class Needle(Immutable):
             object.__setattr__(self, "aim", read_only(self.aim, "aim", (2, 3)))
         if self.track is not None:
             object.__setattr__(self, "track", read_only(self.track, "track", (2, 3)))
-        require_positive(radius=self.radius)
+        check_bounds(self)
 
     def __bool__(self) -> bool:
         return len(self.shaft) > 0

@@ -1,6 +1,7 @@
 """Measurement of the needle in one volume."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,7 +9,7 @@ from pydrake.math import RigidTransform
 
 from sonoservo.systems.signals.immutable import Immutable, read_only
 from sonoservo.systems.signals.needle_curve import NeedleCurve
-from sonoservo.systems.signals.requirements import require
+from sonoservo.systems.signals.requirements import check_bounds, within
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +39,7 @@ class NeedleMeasurement(Immutable):
     covariance: NDArray[np.float64]
     time: float
     inlier_count: int
-    inlier_ratio: float
+    inlier_ratio: Annotated[float, within(0, 1)]
     X_WP: RigidTransform | None = None
     tip_seen: bool = True
 
@@ -47,4 +48,4 @@ class NeedleMeasurement(Immutable):
         object.__setattr__(
             self, "covariance", read_only(self.covariance, "covariance", (size, size))
         )
-        require(0 <= self.inlier_ratio <= 1, "inlier_ratio", self.inlier_ratio, "from 0 to 1")
+        check_bounds(self)

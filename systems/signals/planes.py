@@ -8,7 +8,7 @@ from pydrake.math import RigidTransform, RotationMatrix
 
 from sonoservo.systems.signals.immutable import Immutable
 from sonoservo.systems.signals.needle_curve import NeedleCurve
-from sonoservo.systems.signals.requirements import require_positive
+from sonoservo.systems.signals.requirements import Positive, check_bounds
 from sonoservo.systems.signals.volume import Volume
 
 Vector = NDArray[np.float64]
@@ -28,11 +28,11 @@ class Plane(Immutable):
     """
 
     X_PS: RigidTransform
-    width: float
-    height: float
+    width: Positive
+    height: Positive
 
     def __post_init__(self) -> None:
-        require_positive(width=self.width, height=self.height)
+        check_bounds(self)
 
     def transformed(self, X: RigidTransform) -> "Plane":
         """Return the plane in another frame, in which P has the pose X."""

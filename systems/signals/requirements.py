@@ -135,15 +135,20 @@ def check_bounds(value: Any) -> None:
     A field that may be None is not checked while it is; of a list, each element is.
     """
     schema: Any = type(value)
-    for name, bound, of_elements in _bounds(schema):
+    for name, bound, of_elements, optional in _bounds(schema):
         held = getattr(value, name)
-        if held is None:
+        if held is None and optional:
             continue
         if not of_elements:
             require(bound.fits(held), name, held, bound.allowed)
             continue
         for number, each in enumerate(held):
             require(bound.fits(each), f"{name}.{number}", each, bound.allowed)
+
+
+def bounded_fields(schema: type) -> list[str]:
+    """Return the names of a dataclass's fields that have a bound themselves."""
+    return list({name: None for name, _, of_elements, _ in _bounds(schema) if not of_elements})
 
 
 class Bounded:
@@ -159,10 +164,18 @@ class Bounded:
 
 
 @cache
-def _bounds(schema: type) -> list[tuple[str, Bound, bool]]:
-    """Return field, bound, and whether it is that of a list's elements, of all bounds."""
+def _bounds(schema: type) -> list[tuple[str, Bound, bool, bool]]:
+    """Return field, bound, if it is that of a list's elements, and if the field may be None."""
     hints = get_type_hints(schema, include_extras=True)
-    return [(each.name, *bound) for each in fields(schema) for bound in _found(hints[each.name])]
+    return [
+        (each.name, *bound, _may_be_none(hints[each.name]))
+        for each in fields(schema)
+        for bound in _found(hints[each.name])
+    ]
+
+
+def _may_be_none(hint: Any) -> bool:
+    return type(None) in get_args(hint.__origin__ if get_origin(hint) is Annotated else hint)
 
 
 def _found(hint: Any, of_elements: bool = False) -> list[tuple[Bound, bool]]:

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Self
+from typing import Annotated, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,7 +11,12 @@ from pydrake.math import RigidTransform
 from sonoservo.systems.sampling.interpolation import sample_grid
 from sonoservo.systems.signals.immutable import Immutable, read_only
 from sonoservo.systems.signals.point_spread import PointSpread
-from sonoservo.systems.signals.requirements import require, require_positive
+from sonoservo.systems.signals.requirements import (
+    Positive,
+    at_least,
+    check_bounds,
+    require,
+)
 
 DECIBELS_PER_LEVEL = 60 / 255
 """Default of the decibels per grey level of an image: 0 to 255 show 60 dB."""
@@ -59,27 +64,19 @@ class SweepGeometry(Immutable):
         Speed of sound, in m/s.
     """
 
-    array_radius: float
-    motor_radius: float
-    line_pitch: float
-    frame_pitch: float
-    sample_pitch: float
+    array_radius: Annotated[float, at_least(0)]
+    motor_radius: Annotated[float, at_least(0)]
+    line_pitch: Positive
+    frame_pitch: Positive
+    sample_pitch: Positive
     lines: int
     frames: int
     samples: int
-    frame_period: float
-    sound_speed: float = 1540.0
+    frame_period: Positive
+    sound_speed: Positive = 1540.0
 
     def __post_init__(self) -> None:
-        require_positive(
-            line_pitch=self.line_pitch,
-            frame_pitch=self.frame_pitch,
-            sample_pitch=self.sample_pitch,
-            frame_period=self.frame_period,
-            sound_speed=self.sound_speed,
-        )
-        require(self.array_radius >= 0, "array_radius", self.array_radius, "at least 0")
-        require(self.motor_radius >= 0, "motor_radius", self.motor_radius, "at least 0")
+        check_bounds(self)
         for name, min_count in (("frames", 1), ("lines", 2), ("samples", 2)):
             count = getattr(self, name)
             require(count >= min_count, name, count, f"at least {min_count}")
@@ -256,11 +253,11 @@ class Sweep(Immutable):
 
     samples: NDArray[np.uint8]
     motion: SweepMotion
-    decibels_per_level: float = DECIBELS_PER_LEVEL
+    decibels_per_level: Positive = DECIBELS_PER_LEVEL
     point_spread: PointSpread | None = None
 
     def __post_init__(self) -> None:
-        require_positive(decibels_per_level=self.decibels_per_level)
+        check_bounds(self)
         shape = self.motion.geometry.shape
         object.__setattr__(self, "samples", read_only(self.samples, "samples", shape, np.uint8))
 

@@ -12,7 +12,7 @@ from sonoservo.systems.sampling.interpolation import sample_flags, sample_grid
 from sonoservo.systems.sampling.seen_hull import cut_level, darkest, seen_hull
 from sonoservo.systems.signals.immutable import Immutable, read_only, seal
 from sonoservo.systems.signals.point_spread import PointSpread
-from sonoservo.systems.signals.requirements import require, require_positive
+from sonoservo.systems.signals.requirements import Positive, check_bounds, require, require_positive
 from sonoservo.systems.signals.sweep import DECIBELS_PER_LEVEL, SweepGeometry, SweepMotion
 
 _MAX_SPACING = 0.02
@@ -61,7 +61,7 @@ class Volume(Immutable):
     X_WP: RigidTransform
     time: float
     motion: SweepMotion | None = None
-    decibels_per_level: float = DECIBELS_PER_LEVEL
+    decibels_per_level: Positive = DECIBELS_PER_LEVEL
     point_spread: PointSpread | None = None
     mask: NDArray[np.bool_] | None = None
 
@@ -80,7 +80,7 @@ class Volume(Immutable):
             allowed = f"at most {_MAX_SPACING:g} m; lengths are in m, and 0.7 mm is 0.7e-3"
             require(spacing <= _MAX_SPACING, f"spacing[{axis}]", float(spacing), allowed)
         require(bool(np.isfinite(self.time)), "time", self.time, "finite")
-        require_positive(decibels_per_level=self.decibels_per_level)
+        check_bounds(self)
         if self.mask is not None:
             mask = read_only(self.mask, "mask", array.shape, np.bool_)
             object.__setattr__(self, "mask", mask)

@@ -14,7 +14,12 @@ from sonoservo.systems.signals.confidence import squared_distance
 from sonoservo.systems.signals.immutable import Immutable, read_only
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
-from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
+from sonoservo.systems.signals.requirements import (
+    NotNegative,
+    Positive,
+    check_bounds,
+    require,
+)
 from sonoservo.systems.signals.velocity_measurement import VelocityMeasurement
 from sonoservo.systems.tracking.needle_motion import NeedleMotionParameters, constant_velocity
 
@@ -134,15 +139,14 @@ class AxisTipFilter:
 
     kind: str = "axis_tip"
     motion: NeedleMotionParameters = field(default_factory=NeedleMotionParameters)
-    turning: float = 2e-4
-    first_speed_std: float = 4e-3
-    first_drift_std: float = 2e-3
+    turning: NotNegative = 2e-4
+    first_speed_std: Positive = 4e-3
+    first_drift_std: Positive = 2e-3
     velocity_gate: float = 0.999
 
     def __post_init__(self) -> None:
         require(self.kind == "axis_tip", "kind", self.kind, '"axis_tip"')
-        require_positive(first_speed_std=self.first_speed_std, first_drift_std=self.first_drift_std)
-        require_not_negative(turning=self.turning)
+        check_bounds(self)
         gate = self.velocity_gate
         require(0 < gate < 1, "velocity_gate", gate, "between 0 and 1")
 

@@ -11,7 +11,7 @@ from pydrake.math import RigidTransform
 from sonoservo.systems.signals.immutable import Immutable, read_only
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
-from sonoservo.systems.signals.requirements import require, require_positive
+from sonoservo.systems.signals.requirements import Positive, check_bounds, require
 from sonoservo.systems.signals.velocity_measurement import VelocityMeasurement
 from sonoservo.systems.tracking.needle_motion import NeedleMotionParameters, constant_velocity
 
@@ -80,12 +80,12 @@ class ControlPointFilter:
 
     kind: str = "control_points"
     motion: NeedleMotionParameters = field(default_factory=NeedleMotionParameters)
-    first_speed_std: float = 4e-3
-    first_drift_std: float = 2e-3
+    first_speed_std: Positive = 4e-3
+    first_drift_std: Positive = 2e-3
 
     def __post_init__(self) -> None:
         require(self.kind == "control_points", "kind", self.kind, '"control_points"')
-        require_positive(first_speed_std=self.first_speed_std, first_drift_std=self.first_drift_std)
+        check_bounds(self)
 
     def start(self, measurement: NeedleMeasurement) -> ControlPointState:
         """Return the state after a first measurement, with an unknown velocity."""

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from sonoservo.systems.signals.acquisition import acquired_from
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.radio_frequency_sweep import RadioFrequencySweep
-from sonoservo.systems.signals.requirements import require, require_positive
+from sonoservo.systems.signals.requirements import Positive, check_bounds, require
 from sonoservo.systems.signals.velocity_measurement import VelocityMeasurement
 from sonoservo.systems.signals.volume import Volume
 from sonoservo.systems.tracking.axis import axis_through
@@ -35,18 +35,14 @@ class EdgeVelocimeterParameters:
     """
 
     kind: str = "edge"
-    behind: float = 20e-3
-    beyond: float = 8e-3
-    across_std: float = 20e-3
+    behind: Positive = 20e-3
+    beyond: Positive = 8e-3
+    across_std: Positive = 20e-3
     profile: TipParameters = field(default_factory=TipParameters)
 
     def __post_init__(self) -> None:
         require(self.kind == "edge", "kind", self.kind, '"edge"')
-        require_positive(
-            behind=self.behind,
-            beyond=self.beyond,
-            across_std=self.across_std,
-        )
+        check_bounds(self)
 
 
 def measure_edge_velocity(

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from sonoservo.systems.signals.immutable import Immutable, read_only
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
-from sonoservo.systems.signals.requirements import require, require_positive
+from sonoservo.systems.signals.requirements import Positive, check_bounds, require
 from sonoservo.systems.signals.velocity_measurement import VelocityMeasurement
 from sonoservo.systems.tracking.needle_motion import NeedleMotionParameters, constant_velocity
 
@@ -158,34 +158,24 @@ class InteractingFilter:
     carried: NeedleMotionParameters = field(
         default_factory=lambda: NeedleMotionParameters(body=3e-5)
     )
-    steady_time: float = 3.0
-    unsteady_time: float = 1.0
-    carried_time: float = 1.0
-    unseen_time: float = 0.5
+    steady_time: Positive = 3.0
+    unsteady_time: Positive = 1.0
+    carried_time: Positive = 1.0
+    unseen_time: Positive = 0.5
     constant: float = 0.25
     repeated: float = 0.65
-    place_length: float = 3e-3
-    view_length: float = 0.7e-3
-    view_angle_deg: float = 2.5
-    first_speed_std: float = 4e-3
-    first_drift_std: float = 2e-3
+    place_length: Positive = 3e-3
+    view_length: Positive = 0.7e-3
+    view_angle_deg: Positive = 2.5
+    first_speed_std: Positive = 4e-3
+    first_drift_std: Positive = 2e-3
 
     def __post_init__(self) -> None:
         require(self.kind == "interacting", "kind", self.kind, '"interacting"')
         both = self.constant + self.repeated
         require(min(self.constant, self.repeated) >= 0, "constant", self.constant, "at least 0")
         require(both < 1, "constant + repeated", both, "below 1")
-        require_positive(
-            steady_time=self.steady_time,
-            unsteady_time=self.unsteady_time,
-            carried_time=self.carried_time,
-            unseen_time=self.unseen_time,
-            place_length=self.place_length,
-            view_length=self.view_length,
-            view_angle_deg=self.view_angle_deg,
-            first_speed_std=self.first_speed_std,
-            first_drift_std=self.first_drift_std,
-        )
+        check_bounds(self)
 
     @property
     def _times(self) -> Floats:

@@ -2,13 +2,17 @@
 
 from dataclasses import dataclass, field, replace
 
-from sonoservo.systems.signals.requirements import require_not_negative, require_positive
+from sonoservo.systems.signals.requirements import (
+    Bounded,
+    NotNegative,
+    Positive,
+)
 from sonoservo.systems.tracking.ransac import RansacParameters
 from sonoservo.systems.tracking.tip import TipParameters
 
 
 @dataclass(kw_only=True)
-class NeedleLocalizerParameters:
+class NeedleLocalizerParameters(Bounded):
     """Search regions and acceptance thresholds of the localizer. The paper publishes no values.
 
     Parameters
@@ -76,60 +80,34 @@ class NeedleLocalizerParameters:
         Parameters of the search for the needle's ends.
     """
 
-    margin: float = 3e-3
-    margin_growth: float = 2e-3
-    max_radius: float = 20e-3
-    max_angle_deg: float = 10.0
-    cross_section: float = 4e-6
-    slab: float = 2e-3
-    min_length: float = 4e-3
-    min_share: float = 0.4
-    min_shaft: float = 8e-3
-    search_reach: float = 40e-3
-    min_probability: float = 0.8
-    min_inlier_ratio: float = 0.15
-    min_evidence: float = 12e-3
-    correlation_length: float = 2e-3
-    tip_std: float = 0.25e-3
-    entry_std: float = 1e-3
-    unseen_tip_std: float = 10e-3
-    faded_std: float = 1e-3
-    max_shortening: float = 15e-3
-    max_unseen: float = 0.7
+    margin: Positive = 3e-3
+    margin_growth: Positive = 2e-3
+    max_radius: Positive = 20e-3
+    max_angle_deg: Positive = 10.0
+    cross_section: Positive = 4e-6
+    slab: Positive = 2e-3
+    min_length: Positive = 4e-3
+    min_share: Positive = 0.4
+    min_shaft: Positive = 8e-3
+    search_reach: Positive = 40e-3
+    min_probability: Positive = 0.8
+    min_inlier_ratio: Positive = 0.15
+    min_evidence: Positive = 12e-3
+    correlation_length: Positive = 2e-3
+    tip_std: Positive = 0.25e-3
+    entry_std: Positive = 1e-3
+    unseen_tip_std: Positive = 10e-3
+    faded_std: Positive = 1e-3
+    max_shortening: Positive = 15e-3
+    max_unseen: Positive = 0.7
     echo_offset: float = 0.4e-3
-    echo_offset_std: float = 0.2e-3
-    systematic_std: float = 0.1e-3
+    echo_offset_std: NotNegative = 0.2e-3
+    systematic_std: Positive = 0.1e-3
     volume_of_interest: bool = True
     angle_gate: bool = True
     sweep_time: bool = True
     ransac: RansacParameters = field(default_factory=RansacParameters)
     tip: TipParameters = field(default_factory=TipParameters)
-
-    def __post_init__(self) -> None:
-        require_positive(
-            margin=self.margin,
-            margin_growth=self.margin_growth,
-            max_radius=self.max_radius,
-            max_angle_deg=self.max_angle_deg,
-            cross_section=self.cross_section,
-            slab=self.slab,
-            min_length=self.min_length,
-            min_share=self.min_share,
-            min_shaft=self.min_shaft,
-            search_reach=self.search_reach,
-            min_probability=self.min_probability,
-            min_inlier_ratio=self.min_inlier_ratio,
-            min_evidence=self.min_evidence,
-            correlation_length=self.correlation_length,
-            tip_std=self.tip_std,
-            entry_std=self.entry_std,
-            unseen_tip_std=self.unseen_tip_std,
-            faded_std=self.faded_std,
-            max_shortening=self.max_shortening,
-            max_unseen=self.max_unseen,
-            systematic_std=self.systematic_std,
-        )
-        require_not_negative(echo_offset_std=self.echo_offset_std)
 
     def knowing(
         self, *, beam_width: float | None = None, echo_offset: float | None = None

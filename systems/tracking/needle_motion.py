@@ -6,11 +6,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonoservo.systems.signals.needle_curve import NeedleCurve
-from sonoservo.systems.signals.requirements import require_not_negative
+from sonoservo.systems.signals.requirements import (
+    Bounded,
+    NotNegative,
+)
 
 
 @dataclass(kw_only=True)
-class NeedleMotionParameters:
+class NeedleMotionParameters(Bounded):
     """Spectral densities of the needle's white acceleration, in m^2/s^3.
 
     Parameters
@@ -25,12 +28,9 @@ class NeedleMotionParameters:
         Density of the independent acceleration of each control point, in every direction.
     """
 
-    insertion: float = 5e-5
-    body: float = 2e-6
-    bending: float = 2e-7
-
-    def __post_init__(self) -> None:
-        require_not_negative(insertion=self.insertion, body=self.body, bending=self.bending)
+    insertion: NotNegative = 5e-5
+    body: NotNegative = 2e-6
+    bending: NotNegative = 2e-7
 
     def density(self, curve: NeedleCurve) -> NDArray[np.float64]:
         """Return the (3n, 3n) spectral density of the stacked control points' acceleration."""

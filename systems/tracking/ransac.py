@@ -2,14 +2,20 @@
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from sonoservo.systems.signals.immutable import NotFound
-from sonoservo.systems.signals.requirements import require, require_positive
+from sonoservo.systems.signals.requirements import (
+    Positive,
+    PositiveInt,
+    at_least,
+    check_bounds,
+    require,
+)
 from sonoservo.systems.signals.search_reason import SearchReason
 from sonoservo.systems.tracking.axis_fit import AxisFit, as_fit, assess_axis, least_squares
 
@@ -44,25 +50,17 @@ class RansacParameters:
         refits on re-selected inliers, none of 500 trials failed; without them, 27 to 32 % did.
     """
 
-    residual_threshold: float = 2e-3
-    min_separation: float = 2e-3
-    max_bend: float = 0.1
-    stop_probability: float = 0.999
-    max_trials: int = 3000
-    refits: int = 3
-    draws_factor: float = 3.0
+    residual_threshold: Positive = 2e-3
+    min_separation: Positive = 2e-3
+    max_bend: Positive = 0.1
+    stop_probability: Positive = 0.999
+    max_trials: PositiveInt = 3000
+    refits: Annotated[int, at_least(0)] = 3
+    draws_factor: Positive = 3.0
 
     def __post_init__(self) -> None:
-        require_positive(
-            residual_threshold=self.residual_threshold,
-            min_separation=self.min_separation,
-            max_bend=self.max_bend,
-            stop_probability=self.stop_probability,
-            draws_factor=self.draws_factor,
-        )
+        check_bounds(self)
         require(self.stop_probability < 1, "stop_probability", self.stop_probability, "below 1")
-        require(self.max_trials >= 1, "max_trials", self.max_trials, "1 or more")
-        require(self.refits >= 0, "refits", self.refits, "0 or more")
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,13 @@ from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle_prediction import NeedlePrediction
 from sonoservo.systems.signals.ports import declare_inputs, declare_output, evaluate
 from sonoservo.systems.signals.radio_frequency_sweep import RadioFrequencySweep
-from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
+from sonoservo.systems.signals.requirements import (
+    NotNegative,
+    Positive,
+    between,
+    check_bounds,
+    require,
+)
 from sonoservo.systems.signals.velocity_measurement import VelocityMeasurement
 from sonoservo.systems.signals.volume import Volume
 
@@ -62,10 +68,10 @@ class SpeckleVelocimeterParameters:
     kind: str = "speckle"
     kernel: list[int] = field(default_factory=lambda: [11, 7, 7])
     search: list[int] = field(default_factory=lambda: [17, 13, 13])
-    min_correlation: float = 0.6
-    max_distance: float = 5e-3
+    min_correlation: Annotated[float, between(0, 1)] = 0.6
+    max_distance: Positive = 5e-3
     displacement_std: list[float] = field(default_factory=lambda: [0.5, 0.5, 0.5])
-    min_speed_std: float = 4e-3
+    min_speed_std: NotNegative = 4e-3
     along_axis: bool = False
     envelope: bool = True
 
@@ -79,14 +85,7 @@ class SpeckleVelocimeterParameters:
         require(holds, "search", self.search, f"at least kernel, {self.kernel}")
         positive = len(self.displacement_std) == 3 and all(d > 0 for d in self.displacement_std)
         require(positive, "displacement_std", self.displacement_std, "three numbers above 0")
-        require(
-            0 < self.min_correlation < 1,
-            "min_correlation",
-            self.min_correlation,
-            "between 0 and 1",
-        )
-        require_positive(max_distance=self.max_distance)
-        require_not_negative(min_speed_std=self.min_speed_std)
+        check_bounds(self)
 
 
 Speckle = Volume | RadioFrequencySweep

@@ -14,7 +14,7 @@ from sonoservo.systems.signals.acquisition import acquired_from
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.localization_explanation import AxisProfile, NeedleExtent
 from sonoservo.systems.signals.point_spread import FWHM_PER_SIGMA
-from sonoservo.systems.signals.requirements import require_positive
+from sonoservo.systems.signals.requirements import Positive, check_bounds, require_positive
 from sonoservo.systems.signals.search_reason import SearchReason
 from sonoservo.systems.signals.volume import Volume
 from sonoservo.systems.tracking.axis import Axis
@@ -76,29 +76,19 @@ class TipParameters:
         widths there follow from the speckle.
     """
 
-    step: float = 0.25e-3
-    tube_radius: float = 1.0e-3
-    background_radius: float = 5e-3
-    contrast: float = 3.0
-    max_evidence: float = 3.0
-    smoothing: float = 1.25e-3
-    end_contrast: float = 6.0
-    min_end_contrast: float = 4.0
-    end_length: float = 4e-3
+    step: Positive = 0.25e-3
+    tube_radius: Positive = 1.0e-3
+    background_radius: Positive = 5e-3
+    contrast: Positive = 3.0
+    max_evidence: Positive = 3.0
+    smoothing: Positive = 1.25e-3
+    end_contrast: Positive = 6.0
+    min_end_contrast: Positive = 4.0
+    end_length: Positive = 4e-3
     beam_width: float | None = None
 
     def __post_init__(self) -> None:
-        require_positive(
-            step=self.step,
-            tube_radius=self.tube_radius,
-            background_radius=self.background_radius,
-            contrast=self.contrast,
-            max_evidence=self.max_evidence,
-            smoothing=self.smoothing,
-            end_contrast=self.end_contrast,
-            min_end_contrast=self.min_end_contrast,
-            end_length=self.end_length,
-        )
+        check_bounds(self)
         if self.beam_width is not None:
             require_positive(beam_width=self.beam_width)
 

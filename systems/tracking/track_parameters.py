@@ -1,8 +1,14 @@
 """Parameters of a track's life."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
-from sonoservo.systems.signals.requirements import require, require_positive
+from sonoservo.systems.signals.requirements import (
+    Positive,
+    between,
+    check_bounds,
+    require,
+)
 
 
 @dataclass(kw_only=True)
@@ -40,26 +46,19 @@ class TrackParameters:
         servo without feed-forward. If not, the state is kept in W.
     """
 
-    act: float = 0.95
-    gate: float = 0.9999
-    max_jump: float = 4e-3
+    act: Annotated[float, between(0.5, 1)] = 0.95
+    gate: Positive = 0.9999
+    max_jump: Positive = 4e-3
     volumes_to_lose: int = 4
     volumes_to_follow: int = 3
-    withdrawn_length: float = 6e-3
-    withdrawal_speed: float = 5e-3
-    seconds_to_give_up: float = 10.0
+    withdrawn_length: Positive = 6e-3
+    withdrawal_speed: Positive = 5e-3
+    seconds_to_give_up: Positive = 10.0
     filtering: bool = True
     probe_frame: bool = False
 
     def __post_init__(self) -> None:
-        require_positive(
-            gate=self.gate,
-            max_jump=self.max_jump,
-            withdrawn_length=self.withdrawn_length,
-            withdrawal_speed=self.withdrawal_speed,
-            seconds_to_give_up=self.seconds_to_give_up,
-        )
+        check_bounds(self)
         require(self.gate < 1, "gate", self.gate, "below 1")
-        require(0.5 < self.act < 1, "act", self.act, "above 0.5 and below 1")
         for name in ("volumes_to_lose", "volumes_to_follow"):
             require(getattr(self, name) >= 1, name, getattr(self, name), "1 or more")

@@ -6,7 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
+from sonoservo.systems.signals.requirements import (
+    NotNegative,
+    Positive,
+    check_bounds,
+    require,
+)
 from sonoservo.systems.signals.volume import Volume
 
 _STRIDE = 5
@@ -39,14 +44,13 @@ class VolumePlausibilityParameters:
         depth was removed. 1 switches the check off.
     """
 
-    max_ahead: float = 1.0
-    max_gap: float = 5.0
+    max_ahead: NotNegative = 1.0
+    max_gap: Positive = 5.0
     max_white: float = 0.9
     mirror_correlation: float = 0.25
 
     def __post_init__(self) -> None:
-        require_not_negative(max_ahead=self.max_ahead)
-        require_positive(max_gap=self.max_gap)
+        check_bounds(self)
         for name in ("max_white", "mirror_correlation"):
             value = getattr(self, name)
             require(0 < value <= 1, name, value, "above 0 and at most 1")

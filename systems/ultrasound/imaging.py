@@ -2,12 +2,15 @@
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
 from sonoservo.systems.signals.requirements import (
+    NotNegative,
+    Positive,
+    check_bounds,
     require,
-    require_not_negative,
-    require_positive,
     require_within,
+    within,
 )
 from sonoservo.systems.signals.sweep import DYNAMIC_RANGE_DB, SweepGeometry
 from sonoservo.systems.ultrasound.transducer import Transducer
@@ -52,32 +55,23 @@ class ImagingParameters:
         If a value is out of range; the message names it.
     """
 
-    gain: float = 0.42
-    depth: float = 0.09
+    gain: NotNegative = 0.42
+    depth: Positive = 0.09
     sector: float = 0.75
-    transmit_frequency: float = 3.3e6
-    focus_depth: float = 0.025
-    frame_pitch_deg: float = 1.463
-    volume_rate: float = 3.3
+    transmit_frequency: Positive = 3.3e6
+    focus_depth: Annotated[float, within(0.001, 1.0)] = 0.025
+    frame_pitch_deg: Positive = 1.463
+    volume_rate: Positive = 3.3
     frames: int | None = None
-    sample_pitch: float = 0.308e-3
+    sample_pitch: Positive = 0.308e-3
     dynamic_range_db: float = 60.0
-    sound_speed: float = 1540.0
+    sound_speed: Positive = 1540.0
 
     def __post_init__(self) -> None:
-        require_positive(
-            depth=self.depth,
-            transmit_frequency=self.transmit_frequency,
-            frame_pitch_deg=self.frame_pitch_deg,
-            volume_rate=self.volume_rate,
-            sample_pitch=self.sample_pitch,
-            sound_speed=self.sound_speed,
-        )
-        require_not_negative(gain=self.gain)
+        check_bounds(self)
         require(self.gain <= 1, "gain", self.gain, "from 0 to 1")
         require(0 < self.sector <= 1, "sector", self.sector, "above 0, at most 1")
         require(self.depth <= 0.5, "depth", self.depth, "at most 0.5 m; lengths are in m")
-        require_within("focus_depth", self.focus_depth, 1e-3, 1.0)
         require_within("dynamic_range_db", self.dynamic_range_db, *DYNAMIC_RANGE_DB)
         require(
             self.depth >= 4 * self.sample_pitch, "depth", self.depth, "at least 4 sample pitches"

@@ -5,7 +5,12 @@ from pathlib import Path
 
 from sonoservo.systems.files.model_file import model_file, read_once, read_section
 from sonoservo.systems.files.typed_yaml import load_typed
-from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
+from sonoservo.systems.signals.requirements import (
+    NotNegative,
+    Positive,
+    check_bounds,
+    require,
+)
 
 _LARGEST = {
     "array_radius": 10.0,
@@ -63,38 +68,27 @@ class Transducer:
         If a value is out of range; the message names it.
     """
 
-    array_radius: float = 0.040
-    motor_radius: float = 0.02725
+    array_radius: NotNegative = 0.040
+    motor_radius: NotNegative = 0.02725
     lines: int = 128
-    line_pitch_deg: float = 0.608768
+    line_pitch_deg: Positive = 0.608768
     most_frames: int = 31
     elements: int = 128
-    element_pitch: float = 0.425e-3
-    element_width: float = 0.375e-3
-    element_height: float = 0.012
-    lens_focus: float = 0.060
-    lowest_frequency: float = 3.0e6
+    element_pitch: Positive = 0.425e-3
+    element_width: Positive = 0.375e-3
+    element_height: Positive = 0.012
+    lens_focus: Positive = 0.060
+    lowest_frequency: Positive = 3.0e6
     highest_frequency: float = 7.0e6
-    fractional_bandwidth: float = 0.7
+    fractional_bandwidth: Positive = 0.7
     transmit_elements: int = 48
     receive_elements: int = 64
-    transmit_f_number: float = 2.0
-    receive_f_number: float = 2.0
+    transmit_f_number: Positive = 2.0
+    receive_f_number: Positive = 2.0
     side_lobe_level: float = 0.0316
 
     def __post_init__(self) -> None:
-        require_not_negative(array_radius=self.array_radius, motor_radius=self.motor_radius)
-        require_positive(
-            line_pitch_deg=self.line_pitch_deg,
-            element_pitch=self.element_pitch,
-            element_width=self.element_width,
-            element_height=self.element_height,
-            lens_focus=self.lens_focus,
-            lowest_frequency=self.lowest_frequency,
-            fractional_bandwidth=self.fractional_bandwidth,
-            transmit_f_number=self.transmit_f_number,
-            receive_f_number=self.receive_f_number,
-        )
+        check_bounds(self)
         require(
             0 <= self.side_lobe_level < 1,
             "side_lobe_level",

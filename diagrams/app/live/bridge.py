@@ -12,8 +12,8 @@ from sonoservo.diagrams.app.volumes.check import brief_finding, brief_stream_fin
 from sonoservo.diagrams.app.volumes.opening import Opened, live_maker, open_volumes
 from sonoservo.systems.live.connection.link import Link
 from sonoservo.systems.live.connection.protocols import parse_address
+from sonoservo.systems.live.feeds import IMAGE, volume_items
 from sonoservo.systems.live.live_source import LiveSource
-from sonoservo.systems.live.volume_sender import IMAGE, volume_items
 from sonoservo.systems.recording.recording_writer import RecordingWriter
 from sonoservo.systems.recording.zea import SUFFIXES, ZeaWriter
 from sonoservo.systems.signals.requirements import require_not_negative

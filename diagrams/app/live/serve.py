@@ -16,13 +16,17 @@ from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.typed_yaml import suggest
 from sonoservo.systems.live.connection.link import Link
 from sonoservo.systems.live.connection.protocols import parse_address
+from sonoservo.systems.live.feeds import (
+    NeedleNames,
+    needle_feed,
+    pose_feed,
+    slice_feed,
+    sweep_feed,
+    truth_feed,
+    volume_feed,
+)
 from sonoservo.systems.live.image_matcher import DEFAULT_POSES
-from sonoservo.systems.live.needle_sender import NeedleNames, NeedleSender
-from sonoservo.systems.live.slice_sender import SliceSender
-from sonoservo.systems.live.sweep_sender import SweepSender
-from sonoservo.systems.live.transform_sender import TransformSender
-from sonoservo.systems.live.truth_sender import TruthSender
-from sonoservo.systems.live.volume_sender import VolumeSender
+from sonoservo.systems.live.sender import Sender
 from sonoservo.systems.ultrasound.imaging import sweep_geometry
 from sonoservo.systems.ultrasound.transducer import load_transducer
 
@@ -39,15 +43,16 @@ def live_senders(
     scenario = require_scenario(scenario, FollowingScenario)
     period, offset = observer_events(scenario).values()
     frames = sweep_geometry(load_transducer(scenario.probe), scenario.imaging).frame_period
+    look = {"period": period, "offset": offset}
     return {
-        "sweep_sender": SweepSender(outlet=link, period=period, offset=offset),
-        "volume_sender": VolumeSender(
-            outlet=link, settings=recording_settings(scenario), period=period, offset=offset
+        "sweep_sender": Sender(outlet=link, feed=sweep_feed(), **look),
+        "volume_sender": Sender(
+            outlet=link, feed=volume_feed(settings=recording_settings(scenario)), **look
         ),
-        "slice_sender": SliceSender(outlet=link, period=period, offset=offset),
-        "needle_sender": NeedleSender(outlet=link, names=names, period=period, offset=offset),
-        "pose_sender": TransformSender(outlet=link, name=DEFAULT_POSES, period=frames),
-        "truth_sender": TruthSender(outlet=link, period=frames),
+        "slice_sender": Sender(outlet=link, feed=slice_feed(), **look),
+        "needle_sender": Sender(outlet=link, feed=needle_feed(names), **look),
+        "pose_sender": Sender(outlet=link, feed=pose_feed(DEFAULT_POSES), period=frames),
+        "truth_sender": Sender(outlet=link, feed=truth_feed(), period=frames),
     }
 
 

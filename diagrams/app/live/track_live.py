@@ -24,8 +24,8 @@ from sonoservo.diagrams.trackers.tracker_parts import TrackerParameters
 from sonoservo.systems.files.writing import write_json
 from sonoservo.systems.live.connection.link import Link
 from sonoservo.systems.live.connection.protocols import parse_address
+from sonoservo.systems.live.feeds import NeedleNames, needle_items
 from sonoservo.systems.live.live_source import LiveSource
-from sonoservo.systems.live.needle_sender import NeedleNames, needle_items
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
 from sonoservo.systems.signals.volume import Volume
 

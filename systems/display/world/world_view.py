@@ -1,6 +1,7 @@
 """The leaf that draws the needle, its estimate and the ultrasound slices in Meshcat."""
 
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 from pydrake.common.value import Value
@@ -30,7 +31,13 @@ from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
 from sonoservo.systems.signals.planes import sample_sector, slice_planes
 from sonoservo.systems.signals.ports import declare_inputs, evaluate
-from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
+from sonoservo.systems.signals.requirements import (
+    NotNegative,
+    Positive,
+    at_least,
+    check_bounds,
+    require,
+)
 from sonoservo.systems.signals.search_reason import SearchReason
 from sonoservo.systems.signals.sweep import SweepGeometry
 from sonoservo.systems.signals.volume import Volume
@@ -71,23 +78,18 @@ class WorldViewParameters:
         Position of the tracking mode in the replay, in W, in m.
     """
 
-    publish_period: float = 3 / 32
-    pixel: float = 1e-3
-    film_frames: int = 0
-    film_period: float = 0.2
-    needle_length: float = 0.15
+    publish_period: Positive = 3 / 32
+    pixel: Positive = 1e-3
+    film_frames: Annotated[int, at_least(0)] = 0
+    film_period: NotNegative = 0.2
+    needle_length: Positive = 0.15
     camera: list[float] = field(default_factory=lambda: [0.86, -0.54, 0.40])
     camera_target: list[float] = field(default_factory=lambda: [0.46, -0.02, 0.22])
     field_of_view_deg: float = 42.0
     phase_position: list[float] = field(default_factory=lambda: [0.60, 0.09, 0.34])
 
     def __post_init__(self) -> None:
-        require_positive(
-            publish_period=self.publish_period,
-            pixel=self.pixel,
-            needle_length=self.needle_length,
-        )
-        require_not_negative(film_frames=self.film_frames, film_period=self.film_period)
+        check_bounds(self)
         for name in ("phase_position", "camera", "camera_target"):
             require(len(getattr(self, name)) == 3, name, getattr(self, name), "three numbers")
         angle = self.field_of_view_deg

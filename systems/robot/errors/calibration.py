@@ -7,7 +7,11 @@ from numpy.typing import NDArray
 from pydrake.common.eigen_geometry import AngleAxis
 from pydrake.math import RigidTransform, RotationMatrix
 
-from sonoservo.systems.signals.requirements import require, require_not_negative
+from sonoservo.systems.signals.requirements import (
+    NotNegative,
+    check_bounds,
+    require,
+)
 
 
 @dataclass(kw_only=True)
@@ -26,17 +30,13 @@ class CalibrationParameters:
         Relative error of the probe's mass in the gravity compensation; 0.05 is 5 % too heavy.
     """
 
-    hand_eye_translation: float = 0.0
-    hand_eye_rotation_deg: float = 0.0
-    joint_offset_deg: float = 0.0
+    hand_eye_translation: NotNegative = 0.0
+    hand_eye_rotation_deg: NotNegative = 0.0
+    joint_offset_deg: NotNegative = 0.0
     probe_mass: float = 0.0
 
     def __post_init__(self) -> None:
-        require_not_negative(
-            hand_eye_translation=self.hand_eye_translation,
-            hand_eye_rotation_deg=self.hand_eye_rotation_deg,
-            joint_offset_deg=self.joint_offset_deg,
-        )
+        check_bounds(self)
         shift, angle = self.hand_eye_translation, self.hand_eye_rotation_deg
         require(shift <= 0.1, "hand_eye_translation", shift, "at most 0.1 m; lengths are in m")
         require(angle <= 45, "hand_eye_rotation_deg", angle, "at most 45 deg")

@@ -10,11 +10,16 @@ from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 from sonoservo.systems.signals.immutable import Immutable
 from sonoservo.systems.signals.ports import evaluate
 from sonoservo.systems.signals.random_streams import random_stream
-from sonoservo.systems.signals.requirements import require_not_negative, require_positive
+from sonoservo.systems.signals.requirements import (
+    Bounded,
+    NotNegative,
+    require_not_negative,
+    require_positive,
+)
 
 
 @dataclass(kw_only=True)
-class PoseDelayParameters:
+class PoseDelayParameters(Bounded):
     """Delay of the probe's pose on its way to the program.
 
     Parameters
@@ -25,11 +30,8 @@ class PoseDelayParameters:
         Standard deviation of the age of the probe's pose, in s.
     """
 
-    delay: float = 0.0
-    jitter: float = 0.0
-
-    def __post_init__(self) -> None:
-        require_not_negative(delay=self.delay, jitter=self.jitter)
+    delay: NotNegative = 0.0
+    jitter: NotNegative = 0.0
 
 
 @dataclass(frozen=True)

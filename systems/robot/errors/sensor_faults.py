@@ -17,10 +17,12 @@ from pydrake.systems.framework import (
 
 from sonoservo.systems.signals.ports import evaluate
 from sonoservo.systems.signals.requirements import (
+    PositiveTime,
+    Time,
+    check_bounds,
     require,
     require_not_negative,
     require_positive,
-    require_time,
 )
 
 KINDS = ("nan", "frozen", "saturated", "jumping", "bias", "dead")
@@ -45,14 +47,13 @@ class SensorFault:
     """
 
     kind: str = "nan"
-    start: float = 0.0
-    duration: float = 1.0
+    start: Time = 0.0
+    duration: PositiveTime = 1.0
     value: float = 0.0
 
     def __post_init__(self) -> None:
         require(self.kind in KINDS, "kind", self.kind, f"one of {', '.join(KINDS)}")
-        require_time(start=self.start)
-        require_time(duration=self.duration, positive=True)
+        check_bounds(self)
         require(bool(np.isfinite(self.value)), "value", self.value, "a force in N")
 
     def holds(self, time: float) -> bool:

@@ -1,13 +1,19 @@
 """Air pockets between a probe's face and the skin, which come and go."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import convolve1d
 from scipy.special import ndtri
 
-from sonoservo.systems.signals.requirements import require, require_positive
+from sonoservo.systems.signals.requirements import (
+    Bounded,
+    Positive,
+    at_least,
+    within,
+)
 from sonoservo.systems.signals.sweep import SweepGeometry
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
 from sonoservo.systems.ultrasound.transducer import Transducer
@@ -17,7 +23,7 @@ _ELEVATIONS = 7
 
 
 @dataclass(kw_only=True)
-class AirPocketParameters:
+class AirPocketParameters(Bounded):
     """Parameters of the air between face and skin, which reflects all sound.
 
     Parameters
@@ -30,14 +36,9 @@ class AirPocketParameters:
         Time over which air pockets come and go, in s.
     """
 
-    share: float = 0.0
-    size: float = 8e-3
-    period: float = 4.0
-
-    def __post_init__(self) -> None:
-        require(0 <= self.share <= 0.9, "share", self.share, "from 0 to 0.9")
-        require_positive(size=self.size, period=self.period)
-        require(self.size >= 1e-3, "size", self.size, "at least 1 mm")
+    share: Annotated[float, within(0, 0.9)] = 0.0
+    size: Annotated[float, at_least(0.001, " mm")] = 8e-3
+    period: Positive = 4.0
 
 
 class AirPockets:

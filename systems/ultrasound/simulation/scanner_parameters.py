@@ -2,7 +2,12 @@
 
 from dataclasses import dataclass, field
 
-from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
+from sonoservo.systems.signals.requirements import (
+    NotNegative,
+    Positive,
+    check_bounds,
+    require,
+)
 from sonoservo.systems.ultrasound.simulation.air_pockets import AirPocketParameters
 from sonoservo.systems.ultrasound.simulation.errors.clock import ClockParameters
 from sonoservo.systems.ultrasound.simulation.errors.connection import ConnectionParameters
@@ -48,23 +53,20 @@ class ScannerParameters:
 
     needle: NeedleEchoParameters = field(default_factory=NeedleEchoParameters)
     track_db: float = -6.0
-    gel_thickness: float = 3e-3
+    gel_thickness: NotNegative = 3e-3
     air_pockets: AirPocketParameters = field(default_factory=AirPocketParameters)
     noise_db: float = -50.0
-    gain_error_db: float = 1.5
+    gain_error_db: NotNegative = 1.5
     clutter_db: float = -20.0
-    clutter_length: float = 0.04
+    clutter_length: Positive = 0.04
     decorrelation: float = 0.02
-    decorrelation_time: float = 5.0
+    decorrelation_time: Positive = 5.0
     motor: MotorParameters = field(default_factory=MotorParameters)
     clock: ClockParameters = field(default_factory=ClockParameters)
     connection: ConnectionParameters = field(default_factory=ConnectionParameters)
 
     def __post_init__(self) -> None:
-        require_not_negative(gel_thickness=self.gel_thickness, gain_error_db=self.gain_error_db)
-        require_positive(
-            clutter_length=self.clutter_length, decorrelation_time=self.decorrelation_time
-        )
+        check_bounds(self)
         require(self.gain_error_db <= 20, "gain_error_db", self.gain_error_db, "at most 20 dB")
         for name in ("noise_db", "clutter_db", "track_db"):
             value = getattr(self, name)

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,7 +12,14 @@ from sonoservo.systems.files.model_file import model_file, read_section
 from sonoservo.systems.files.refusals import refusing_failures
 from sonoservo.systems.files.typed_yaml import load_typed
 from sonoservo.systems.signals.body_surface import BodySurface
-from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
+from sonoservo.systems.signals.requirements import (
+    NotNegative,
+    Positive,
+    at_least,
+    check_bounds,
+    require,
+    within,
+)
 from sonoservo.systems.ultrasound.simulation.anatomy.anatomies import (
     LabelMapAnatomy,
     LiverAnatomy,
@@ -45,12 +53,12 @@ class Ball:
     """
 
     centre: list[float] = field(default_factory=lambda: [0.0, 0.0, -0.04])
-    radius: float = 1e-3
+    radius: Positive = 1e-3
     level_db: float = 25.0
 
     def __post_init__(self) -> None:
         require(len(self.centre) == 3, "centre", self.centre, "three coordinates in m")
-        require_positive(radius=self.radius)
+        check_bounds(self)
 
 
 @dataclass(kw_only=True)
@@ -97,19 +105,16 @@ class RandomFibres:
         Standard deviation of their direction about each axis across it, in deg.
     """
 
-    per_cubic_centimetre: float = 0.0
-    shortest: float = 3e-3
+    per_cubic_centimetre: NotNegative = 0.0
+    shortest: Positive = 3e-3
     longest: float = 12e-3
     dimmest_db: float = 18.0
     brightest_db: float = 30.0
     direction: list[float] = field(default_factory=lambda: [0.0, 1.0, 0.0])
-    spread_deg: float = 20.0
+    spread_deg: NotNegative = 20.0
 
     def __post_init__(self) -> None:
-        require_not_negative(
-            per_cubic_centimetre=self.per_cubic_centimetre, spread_deg=self.spread_deg
-        )
-        require_positive(shortest=self.shortest)
+        check_bounds(self)
         require(self.longest >= self.shortest, "longest", self.longest, "at least shortest")
         require(
             self.brightest_db >= self.dimmest_db,
@@ -153,15 +158,14 @@ class RandomBalls:
         Limits of their uniformly distributed levels, in dB; see `Ball`.
     """
 
-    per_cubic_centimetre: float = 0.0
-    smallest: float = 1.0e-3
+    per_cubic_centimetre: NotNegative = 0.0
+    smallest: Positive = 1.0e-3
     largest: float = 1.5e-3
     dimmest_db: float = 28.0
     brightest_db: float = 30.0
 
     def __post_init__(self) -> None:
-        require_not_negative(per_cubic_centimetre=self.per_cubic_centimetre)
-        require_positive(smallest=self.smallest)
+        check_bounds(self)
         for low, high in (("smallest", "largest"), ("dimmest_db", "brightest_db")):
             value = getattr(self, high)
             require(value >= getattr(self, low), high, value, f"at least {low}")
@@ -222,9 +226,9 @@ class Tissue:
 
     size: list[float] = field(default_factory=lambda: [0.24, 0.16, 0.08])
     shape: str = "box"
-    scatterers_per_cell: float = 4.0
-    level_db: float = 0.0
-    attenuation: float = 0.5
+    scatterers_per_cell: Annotated[float, within(0.5, 64)] = 4.0
+    level_db: Annotated[float, within(-60, 20, " dB")] = 0.0
+    attenuation: NotNegative = 0.5
     balls: list[Ball] = field(default_factory=list)
     fibres: list[Fibre] = field(default_factory=list)
     random_balls: RandomBalls = field(default_factory=RandomBalls)
@@ -233,20 +237,13 @@ class Tissue:
     anatomy: LabelMapAnatomy | LiverAnatomy | None = None
     sound_speed: float | None = None
     fat: FatLayer = field(default_factory=FatLayer)
-    seed: int = 0
+    seed: Annotated[int, at_least(0)] = 0
 
     def __post_init__(self) -> None:
         require(
             len(self.size) == 3 and min(self.size) > 0, "size", self.size, "three lengths above 0"
         )
-        require(
-            0.5 <= self.scatterers_per_cell <= 64,
-            "scatterers_per_cell",
-            self.scatterers_per_cell,
-            "from 0.5 to 64",
-        )
-        require(-60 <= self.level_db <= 20, "level_db", self.level_db, "from -60 to 20 dB")
-        require_not_negative(attenuation=self.attenuation, seed=self.seed)
+        check_bounds(self)
         require(max(self.size) <= 2, "size", self.size, "at most 2 m each; lengths are in m")
         if self.sound_speed is not None:
             allowed = 1300 <= self.sound_speed <= 1800

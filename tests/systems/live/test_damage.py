@@ -15,11 +15,10 @@ from sonoservo.systems.live.connection.items import ImageItem, PoseItem, TextIte
 from sonoservo.systems.live.connection.link import Link
 from sonoservo.systems.live.connection.open_igt_link import decode, encode, make_framer
 from sonoservo.systems.live.connection.protocols import parse_address
+from sonoservo.systems.live.feeds import NeedleNames, needle_items, volume_items
 from sonoservo.systems.live.image_matcher import ImageMatcher
 from sonoservo.systems.live.live_source import LiveSource
-from sonoservo.systems.live.needle_sender import NeedleNames, needle_items
 from sonoservo.systems.live.volume_maker import VolumeMaker
-from sonoservo.systems.live.volume_sender import volume_items
 
 SOUND = [
     *(encode(item) for item in volume_items(make_volume(5.0))),

@@ -5,6 +5,7 @@ from tracked_frames import PIXEL, SIZE, freehand, grey
 
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.live.connection.items import ImageItem
+from sonoservo.systems.live.feeds import frame_items
 from sonoservo.systems.live.frames_to_volumes import FramesToVolumes
 from sonoservo.systems.live.image_matcher import PosedImage
 from sonoservo.systems.live.motor_sweep import (
@@ -12,7 +13,6 @@ from sonoservo.systems.live.motor_sweep import (
     MotorSweepVolumes,
     load_motor_sweep,
 )
-from sonoservo.systems.live.sweep_sender import frame_items
 from sonoservo.systems.signals.reconstructed_volume import ReconstructedVolume
 from sonoservo.systems.signals.sweep import Sweep, SweepMotion
 from sonoservo.systems.ultrasound.frame_reconstruction import reconstruct

@@ -4,8 +4,8 @@ from live_items import X, make_volume
 from pydrake.math import RigidTransform, RotationMatrix
 
 from sonoservo.systems.live.connection.items import ImageItem, PoseItem, TextItem
+from sonoservo.systems.live.feeds import volume_items
 from sonoservo.systems.live.image_matcher import ImageMatcher, LeftOut
-from sonoservo.systems.live.volume_sender import volume_items
 
 
 def image(time, name="Image", shape=(4, 3, 2)):

@@ -9,13 +9,20 @@ from pydrake.systems.primitives import ConstantValueSource
 
 from sonoservo.systems.live.acquisition import read_acquisition_item
 from sonoservo.systems.live.connection.items import PointsItem
-from sonoservo.systems.live.needle_sender import NeedleNames, NeedleSender, needle_items, tip_pose
-from sonoservo.systems.live.slice_sender import SliceSender
-from sonoservo.systems.live.sweep_sender import SweepSender
-from sonoservo.systems.live.transform_sender import TransformSender
-from sonoservo.systems.live.truth_sender import TruthSender, truth_items
+from sonoservo.systems.live.feeds import (
+    NeedleNames,
+    needle_feed,
+    needle_items,
+    pose_feed,
+    slice_feed,
+    sweep_feed,
+    tip_pose,
+    truth_feed,
+    truth_items,
+    volume_feed,
+)
+from sonoservo.systems.live.sender import Sender
 from sonoservo.systems.live.volume_receiver import VolumeReceiver
-from sonoservo.systems.live.volume_sender import VolumeSender
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.needle_curve import NeedleCurve
@@ -81,7 +88,7 @@ def test_without_a_needle_there_is_only_its_status():
 
 
 def test_needle_sender_sends_each_estimate_once_with_its_volumes_time(outlet):
-    sender = NeedleSender(outlet=outlet, period=1.0)
+    sender = Sender(outlet=outlet, feed=needle_feed(), period=1.0)
     estimates = [make_estimate(volume_time=t) for t in (1.0, 1.0, 2.0)]
     publish(sender, estimate=estimates)
     assert [items[0].time for _, items in outlet.sent] == [1.0, 2.0]
@@ -89,7 +96,7 @@ def test_needle_sender_sends_each_estimate_once_with_its_volumes_time(outlet):
 
 
 def test_volume_sender_sends_each_volume_once(outlet):
-    sender = VolumeSender(outlet=outlet, settings={"tracker_seed": 7}, period=1.0)
+    sender = Sender(outlet=outlet, feed=volume_feed(settings={"tracker_seed": 7}), period=1.0)
     volumes = [NotFound("none yet"), make_volume(1.0), make_volume(1.0), make_volume(2.0)]
     publish(sender, volume=volumes)
     assert len(outlet.sent) == 2
@@ -109,7 +116,7 @@ def test_acquisition_of_a_very_long_sweep_leaves_the_frames_out(outlet):
     poses = np.array([RigidTransform(turns, [k / 7, 0, 0]).GetAsMatrix4() for k in range(400)])
     motion = SweepMotion(geometry, 1, np.arange(400.0) / 3, poses)
     volume = Volume(np.zeros((3, 3, 3), np.uint8), [0, 0, 0], [1e-3] * 3, X, 1.0, motion)
-    publish(VolumeSender(outlet=outlet, period=1.0), volume=[volume])
+    publish(Sender(outlet=outlet, feed=volume_feed(), period=1.0), volume=[volume])
     text = outlet.sent[0][1][0]
     assert len(text.text) < 65536
     assert read_acquisition_item(text).motion is None
@@ -118,7 +125,9 @@ def test_acquisition_of_a_very_long_sweep_leaves_the_frames_out(outlet):
 @pytest.mark.parametrize("direction", [1, -1])
 def test_sweep_sender_sends_the_frames_in_order_of_time(outlet, direction):
     sent = sweep(direction)
-    publish(SweepSender(outlet=outlet, period=1.0), sweep=[NotFound("none"), sent, sent])
+    publish(
+        Sender(outlet=outlet, feed=sweep_feed(), period=1.0), sweep=[NotFound("none"), sent, sent]
+    )
     ((_, items),) = outlet.sent
     frames = items[1::2]
     np.testing.assert_allclose([item.time for item in frames], 1.0 + 0.05 * np.arange(4))
@@ -128,7 +137,11 @@ def test_sweep_sender_sends_the_frames_in_order_of_time(outlet, direction):
 
 def test_slices_are_where_the_volume_is(outlet):
     volume = make_volume(shape=(20, 24, 18))
-    publish(SliceSender(outlet=outlet, period=1.0), volume=[volume], estimate=[make_estimate()])
+    publish(
+        Sender(outlet=outlet, feed=slice_feed(), period=1.0),
+        volume=[volume],
+        estimate=[make_estimate()],
+    )
     for item in outlet.sent[0][1]:
         assert item.name in ("SliceA_Probe", "SliceB_Probe")
         ni, nj, _ = item.voxels.shape
@@ -141,7 +154,7 @@ def test_slices_are_where_the_volume_is(outlet):
 def test_transform_sender_sends_a_pose_at_its_rate(outlet):
     builder = DiagramBuilder()
     source = builder.AddSystem(ConstantValueSource(Value(X)))
-    sender = builder.AddSystem(TransformSender(outlet=outlet, name="Arm", port="X_WP", period=0.25))
+    sender = builder.AddSystem(Sender(outlet=outlet, feed=pose_feed("Arm"), period=0.25))
     builder.Connect(source.get_output_port(), sender.GetInputPort("X_WP"))
     simulator = Simulator(builder.Build())
     simulator.AdvanceTo(0.9)
@@ -151,7 +164,7 @@ def test_transform_sender_sends_a_pose_at_its_rate(outlet):
 
 def test_truth_has_names_that_say_so(outlet):
     needle = Needle([[0, 0, 0], [0, 0, -0.03], [0.001, 0, -0.05]], 5e-4)
-    publish(TruthSender(outlet=outlet, period=1.0), needle=[needle], X_WT=[X])
+    publish(Sender(outlet=outlet, feed=truth_feed(), period=1.0), needle=[needle], X_WT=[X])
     items = outlet.sent[0][1]
     assert [item.name for item in items] == ["TrueTissueToRef", "TrueNeedle", "TrueTipToReference"]
     np.testing.assert_allclose(items[2].X.translation(), X.multiply(needle.tip))
@@ -162,22 +175,11 @@ def test_truth_has_names_that_say_so(outlet):
     ]
 
 
-@pytest.mark.parametrize(
-    "make",
-    [
-        lambda outlet, **events: NeedleSender(outlet=outlet, **events),
-        lambda outlet, **events: VolumeSender(outlet=outlet, **events),
-        lambda outlet, **events: SweepSender(outlet=outlet, **events),
-        lambda outlet, **events: SliceSender(outlet=outlet, **events),
-        lambda outlet, **events: TruthSender(outlet=outlet, **events),
-        lambda outlet, **events: TransformSender(outlet=outlet, name="P", **events),
-    ],
-)
-def test_events_must_be_possible(make, outlet):
+def test_events_must_be_possible(outlet):
     with pytest.raises(ValueError, match="period"):
-        make(outlet, period=0.0)
+        Sender(outlet=outlet, feed=needle_feed(), period=0.0)
     with pytest.raises(ValueError, match="offset"):
-        make(outlet, period=1.0, offset=-1.0)
+        Sender(outlet=outlet, feed=needle_feed(), period=1.0, offset=-1.0)
 
 
 class Volumes:

@@ -4,11 +4,8 @@ from importlib.resources import files
 from xml.etree import ElementTree
 
 from sonoservo.systems.live.connection.open_igt_link import DEFAULT_PORT
+from sonoservo.systems.live.feeds import IMAGE, NEEDLE, SLICES, TIP, NeedleNames
 from sonoservo.systems.live.image_matcher import DEFAULT_POSES
-from sonoservo.systems.live.needle_sender import NeedleNames
-from sonoservo.systems.live.slice_sender import SLICES
-from sonoservo.systems.live.truth_sender import NEEDLE, TIP
-from sonoservo.systems.live.volume_sender import IMAGE
 
 
 def test_scene_connects_and_places_the_images_under_the_probe():

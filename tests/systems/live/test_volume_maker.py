@@ -5,9 +5,9 @@ from pydrake.math import RigidTransform, RotationMatrix
 
 from sonoservo.systems.live.acquisition import read_acquisition_item
 from sonoservo.systems.live.connection.items import ImageItem
+from sonoservo.systems.live.feeds import volume_items
 from sonoservo.systems.live.image_matcher import PosedImage
 from sonoservo.systems.live.volume_maker import VolumeMaker
-from sonoservo.systems.live.volume_sender import volume_items
 
 
 def posed(item, X_WL=None, acquisition=None, time=1.0):

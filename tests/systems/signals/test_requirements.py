@@ -1,10 +1,15 @@
 """Bounds in the annotations of a dataclass."""
 
-from dataclasses import dataclass, field
+import pkgutil
+from contextlib import suppress
+from dataclasses import dataclass, field, is_dataclass
+from importlib import import_module
 from typing import Annotated
 
 import pytest
 
+import sonoservo.diagrams
+import sonoservo.systems
 from sonoservo.systems.signals.requirements import (
     Bounded,
     Fraction,
@@ -16,6 +21,7 @@ from sonoservo.systems.signals.requirements import (
     above,
     at_least,
     between,
+    bounded_fields,
     check_bounds,
     one_of,
 )
@@ -72,3 +78,26 @@ def test_values_within_their_bounds_are_accepted(schema):
 def test_a_value_out_of_bounds_is_named_with_what_is_allowed(schema, changes, message):
     with pytest.raises(ValueError, match=message):
         schema(**changes)
+
+
+def dataclasses_of_the_house():
+    for root in (sonoservo.systems, sonoservo.diagrams):
+        for module in pkgutil.walk_packages(root.__path__, f"{root.__name__}."):
+            if module.name.endswith("__main__"):
+                continue
+            with suppress(ModuleNotFoundError):  # of an extra
+                for value in vars(import_module(module.name)).values():
+                    if is_dataclass(value) and getattr(value, "__module__", "") == module.name:
+                        yield value
+
+
+def test_every_bound_in_the_house_is_checked():
+    count = 0
+    for schema in filter(bounded_fields, dataclasses_of_the_house()):
+        with suppress(TypeError):  # a value without defaults; those have tests of their own
+            schema()
+            for name in bounded_fields(schema):
+                with pytest.raises(ValueError, match=rf"^{name}: nan is not allowed"):
+                    schema(**{name: float("nan")})
+                count += 1
+    assert count > 200

@@ -16,6 +16,7 @@ The uncertainty is the spread of the particles, as in the paper. It says little 
 """
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +29,12 @@ from sonoservo.systems.shape.shape_parameters import (
 )
 from sonoservo.systems.signals.bicycle_paths import deflections
 from sonoservo.systems.signals.immutable import Immutable, NotFound
-from sonoservo.systems.signals.requirements import require, require_positive, require_within
+from sonoservo.systems.signals.requirements import (
+    Positive,
+    at_least,
+    require,
+    require_within,
+)
 
 Floats = NDArray[np.float64]
 
@@ -58,16 +64,15 @@ class PublishedParticleFilterParameters(ShapeEstimatorParameters):
     """
 
     particles: int = 500
-    points: int = 5
+    points: Annotated[int, at_least(2)] = 5
     replaced: int = 3
     gain: float = 0.05
-    start_depth: float = 10e-3
+    start_depth: Positive = 10e-3
     bevel_direction_deg: float | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
         require_within("particles", self.particles, 10, MAX_PARTICLES)
-        require(self.points >= 2, "points", self.points, "at least 2")
         require(
             0 <= self.replaced < self.particles,
             "replaced",
@@ -75,7 +80,6 @@ class PublishedParticleFilterParameters(ShapeEstimatorParameters):
             "at least 0 and below particles",
         )
         require(0 < self.gain <= 1, "gain", self.gain, "above 0 and at most 1")
-        require_positive(start_depth=self.start_depth)
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,12 +9,12 @@ from sonoservo.diagrams.papers.chatelain2013.method.geometric_median import geom
 from sonoservo.diagrams.papers.chatelain2013.method.volume_difference import top_differences
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.insertion_detection import InsertionDetection
-from sonoservo.systems.signals.requirements import require_positive
+from sonoservo.systems.signals.requirements import Bounded, Positive
 from sonoservo.systems.signals.volume import Volume
 
 
 @dataclass(kw_only=True)
-class PublishedDetectionParameters:
+class PublishedDetectionParameters(Bounded):
     """Thresholds of Chatelain 2013, section II-B. The paper publishes no values.
 
     Parameters
@@ -31,14 +31,9 @@ class PublishedDetectionParameters:
         Largest distance delta from the geometric median to the candidate entry point, in m.
     """
 
-    candidate_volume: float = 5e-9
-    max_std: float = 27e-3
-    max_depth: float = 10e-3
-
-    def __post_init__(self) -> None:
-        require_positive(
-            candidate_volume=self.candidate_volume, max_std=self.max_std, max_depth=self.max_depth
-        )
+    candidate_volume: Positive = 5e-9
+    max_std: Positive = 27e-3
+    max_depth: Positive = 10e-3
 
 
 def detect_as_published(

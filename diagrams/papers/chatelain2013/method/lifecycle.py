@@ -13,7 +13,11 @@ from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_estimate import TrackingMode
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
 from sonoservo.systems.signals.needle_prediction import NeedlePrediction
-from sonoservo.systems.signals.requirements import require, require_positive
+from sonoservo.systems.signals.requirements import (
+    Positive,
+    PositiveInt,
+    check_bounds,
+)
 from sonoservo.systems.signals.velocity_measurement import VelocityMeasurement
 from sonoservo.systems.tracking.needle_filter import NeedleFilter, NeedleState, require_order
 from sonoservo.systems.tracking.track import Track
@@ -50,13 +54,12 @@ class PublishedLifecycle:
 
     order: int
     needle_filter: NeedleFilter[Any]
-    min_length: float
-    volumes_to_end: int = 10
+    min_length: Positive
+    volumes_to_end: PositiveInt = 10
 
     def __post_init__(self) -> None:
         require_order(self.order, self.needle_filter)
-        require_positive(min_length=self.min_length)
-        require(self.volumes_to_end >= 1, "volumes_to_end", self.volumes_to_end, "1 or more")
+        check_bounds(self)
 
     def without_needle(self, time: float, reason: str = "") -> Track:
         """Return the track at a time in s while there is no needle."""

@@ -18,7 +18,7 @@ from sonoservo.systems.signals.localization_explanation import (
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
 from sonoservo.systems.signals.needle_prediction import NeedlePrediction
-from sonoservo.systems.signals.requirements import require_positive
+from sonoservo.systems.signals.requirements import Bounded, Positive
 from sonoservo.systems.signals.volume import Volume
 from sonoservo.systems.tracking.axis import Axis, axis_through
 from sonoservo.systems.tracking.candidates import select_candidates
@@ -35,7 +35,7 @@ def _published_profile() -> TipParameters:
 
 
 @dataclass(kw_only=True)
-class PublishedLocalizationParameters:
+class PublishedLocalizationParameters(Bounded):
     """Values of Chatelain 2013, section II-D. The paper publishes none of them.
 
     Values with the same meaning as in our method are the same as there; the others were chosen with
@@ -66,26 +66,15 @@ class PublishedLocalizationParameters:
         contrast, the drop at which the needle ends.
     """
 
-    candidate_volume: float = 400e-9
-    margin: float = 10e-3
-    first_margin: float = 20e-3
-    max_angle_deg: float = 35.0
-    min_length: float = 10e-3
-    max_gap: float = 3e-3
-    std: float = 1e-3
+    candidate_volume: Positive = 400e-9
+    margin: Positive = 10e-3
+    first_margin: Positive = 20e-3
+    max_angle_deg: Positive = 35.0
+    min_length: Positive = 10e-3
+    max_gap: Positive = 3e-3
+    std: Positive = 1e-3
     ransac: RansacParameters = field(default_factory=_published_ransac)
     profile: TipParameters = field(default_factory=_published_profile)
-
-    def __post_init__(self) -> None:
-        require_positive(
-            candidate_volume=self.candidate_volume,
-            margin=self.margin,
-            first_margin=self.first_margin,
-            max_angle_deg=self.max_angle_deg,
-            min_length=self.min_length,
-            max_gap=self.max_gap,
-            std=self.std,
-        )
 
 
 def explain_published_localization(

@@ -12,7 +12,7 @@ from sonoservo.systems.signals.localization_explanation import LocalizationExpla
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
 from sonoservo.systems.signals.needle_prediction import NeedlePrediction
-from sonoservo.systems.signals.requirements import require_positive
+from sonoservo.systems.signals.requirements import Positive, check_bounds, require_positive
 from sonoservo.systems.signals.volume import Volume
 from sonoservo.systems.tracking.axis_fit import AxisFit
 from sonoservo.systems.tracking.ransac import RansacParameters, ransac_axis
@@ -38,14 +38,14 @@ class WholeVolumeRansacParameters:
         best sample. With one it is optimized locally, as published.
     """
 
-    candidate_volume: float = 60e-9
-    max_gap: float = 2e-3
+    candidate_volume: Positive = 60e-9
+    max_gap: Positive = 2e-3
     end_contrast: float | None = None
     ransac: RansacParameters = field(default_factory=RansacParameters)
     tip: TipParameters = field(default_factory=TipParameters)
 
     def __post_init__(self) -> None:
-        require_positive(candidate_volume=self.candidate_volume, max_gap=self.max_gap)
+        check_bounds(self)
         if self.end_contrast is not None:
             require_positive(end_contrast=self.end_contrast)
 
@@ -63,12 +63,11 @@ class WholeVolumeLocalizationParameters(WholeVolumeRansacParameters):
         covariance R of eq. 3, in m.
     """
 
-    min_length: float = 10e-3
-    std: float = 1e-3
+    min_length: Positive = 10e-3
+    std: Positive = 1e-3
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_positive(min_length=self.min_length, std=self.std)
 
 
 @dataclass(frozen=True, eq=False)

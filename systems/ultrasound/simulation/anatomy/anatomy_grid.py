@@ -2,13 +2,19 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import affine_transform, find_objects, gaussian_filter
 
 from sonoservo.systems.signals.immutable import Immutable
-from sonoservo.systems.signals.requirements import require, require_not_negative
+from sonoservo.systems.signals.requirements import (
+    check_bounds,
+    require,
+    require_not_negative,
+    within,
+)
 from sonoservo.systems.ultrasound.simulation.anatomy.label_map import LabelMap
 from sonoservo.systems.ultrasound.simulation.anatomy.level_surface import level_surface
 from sonoservo.systems.ultrasound.simulation.structures.structure import (
@@ -57,10 +63,10 @@ class LabelProperties:
         Level of the reverberation between surface and probe (see `SurfaceEcho`).
     """
 
-    label: int = 0
+    label: Annotated[int, within(0, 65535)] = 0
     name: str = ""
-    level_db: float = 0.0
-    density: float = 1.0
+    level_db: Annotated[float, within(-100, 40, " dB")] = 0.0
+    density: Annotated[float, within(0.02, 1)] = 1.0
     attenuation: float | None = None
     sound_speed: float | None = None
     boundary_db: float | None = None
@@ -69,9 +75,7 @@ class LabelProperties:
     reverberation_db: float | None = None
 
     def __post_init__(self) -> None:
-        require(0 <= self.label <= 65535, "label", self.label, "from 0 to 65535")
-        require(-100 <= self.level_db <= 40, "level_db", self.level_db, "from -100 to 40 dB")
-        require(0.02 <= self.density <= 1, "density", self.density, "from 0.02 to 1")
+        check_bounds(self)
         if self.attenuation is not None:
             require_not_negative(attenuation=self.attenuation)
             require(self.attenuation <= 30, "attenuation", self.attenuation, "at most 30 dB/cm/MHz")

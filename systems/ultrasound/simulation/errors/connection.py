@@ -7,7 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonoservo.systems.signals.immutable import Immutable, seal
-from sonoservo.systems.signals.requirements import require, require_not_negative
+from sonoservo.systems.signals.requirements import (
+    NotNegative,
+    check_bounds,
+    require,
+)
 
 T = TypeVar("T")
 
@@ -30,13 +34,13 @@ class ConnectionParameters:
 
     lost_frames: float = 0.0
     lost_sweeps: float = 0.0
-    lateness: float = 0.0
+    lateness: NotNegative = 0.0
 
     def __post_init__(self) -> None:
         for name in ("lost_frames", "lost_sweeps"):
             share = getattr(self, name)
             require(bool(0 <= share < 1), name, share, "a share of at least 0 and below 1")
-        require_not_negative(lateness=self.lateness)
+        check_bounds(self)
 
     def is_lost(self, rng: np.random.Generator) -> bool:
         """Return True if a sweep is lost."""

@@ -5,12 +5,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.systems.signals.requirements import require_not_negative
+from sonoservo.systems.signals.requirements import (
+    Bounded,
+    NotNegative,
+)
 from sonoservo.systems.signals.sweep import SweepGeometry
 
 
 @dataclass(kw_only=True)
-class MotorParameters:
+class MotorParameters(Bounded):
     """Differences between the angle at which a frame is acquired and the angle it is shown at.
 
     Parameters
@@ -21,11 +24,8 @@ class MotorParameters:
         Standard deviation of the sweeping motor's angle at each frame, in deg.
     """
 
-    backlash_deg: float = 0.0
-    error_deg: float = 0.0
-
-    def __post_init__(self) -> None:
-        require_not_negative(backlash_deg=self.backlash_deg, error_deg=self.error_deg)
+    backlash_deg: NotNegative = 0.0
+    error_deg: NotNegative = 0.0
 
 
 def motor_error(

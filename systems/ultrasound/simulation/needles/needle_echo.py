@@ -8,12 +8,19 @@ piece by piece (Kirchhoff's integral). What else returns, from a rough surface, 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sonoservo.systems.signals.needle import Needle
-from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
+from sonoservo.systems.signals.requirements import (
+    NotNegative,
+    Positive,
+    check_bounds,
+    require,
+    within,
+)
 from sonoservo.systems.ultrasound.beam import Beam
 from sonoservo.systems.ultrasound.simulation.needles.needle_kernel import NeedleEcho, NeedleView
 from sonoservo.systems.ultrasound.simulation.needles.needle_tip import (
@@ -78,34 +85,27 @@ class NeedleEchoParameters:
     diffuse_db: float = -26.0
     diffuse_lobe_deg: float | None = 35.0
     tip: str = "bevel"
-    bevel_deg: float = 20.0
+    bevel_deg: Annotated[float, within(5, 85, " deg")] = 20.0
     tip_roll_deg: float = 0.0
     reverberation_db: float = -8.0
     inner_diameter_ratio: float = 0.66
     shadow: float = 0.45
-    fading_db: float = 0.0
-    fading_length: float = 0.015
-    fading_period: float = 2.0
+    fading_db: NotNegative = 0.0
+    fading_length: Positive = 0.015
+    fading_period: Positive = 2.0
     dimples_db: float | None = None
-    dimple_spacing: float = 1e-3
-    dimpled_length: float = 0.02
+    dimple_spacing: Positive = 1e-3
+    dimpled_length: Positive = 0.02
 
     def __post_init__(self) -> None:
         require(
             self.reverberation_db <= -3, "reverberation_db", self.reverberation_db, "at most -3 dB"
         )
-        require(5 <= self.bevel_deg <= 85, "bevel_deg", self.bevel_deg, "from 5 to 85 deg")
+        check_bounds(self)
         for name in ("inner_diameter_ratio", "shadow"):
             value = getattr(self, name)
             require(0 <= value <= 1, name, value, "from 0 to 1")
-        require_not_negative(fading_db=self.fading_db)
         require(self.fading_db <= 30, "fading_db", self.fading_db, "at most 30 dB")
-        require_positive(
-            fading_length=self.fading_length,
-            fading_period=self.fading_period,
-            dimple_spacing=self.dimple_spacing,
-            dimpled_length=self.dimpled_length,
-        )
         if self.diffuse_lobe_deg is not None:
             allowed = 1 <= self.diffuse_lobe_deg <= 90
             require(allowed, "diffuse_lobe_deg", self.diffuse_lobe_deg, "from 1 to 90 deg")

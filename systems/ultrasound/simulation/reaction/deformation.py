@@ -9,7 +9,11 @@ from pydrake.math import RigidTransform
 
 from sonoservo.systems.signals.immutable import Immutable, read_only
 from sonoservo.systems.signals.needle import Needle
-from sonoservo.systems.signals.requirements import require_not_negative, require_positive
+from sonoservo.systems.signals.requirements import (
+    NotNegative,
+    Positive,
+    check_bounds,
+)
 from sonoservo.systems.ultrasound.simulation.kernels.displacement import (
     NO_DISPLACEMENTS,
     Displacements,
@@ -41,12 +45,11 @@ class Indentation(Immutable):
 
     x: float = 0.0
     y: float = 0.0
-    depth: float = 0.0
-    dome_radius: float = 1.0
+    depth: NotNegative = 0.0
+    dome_radius: Positive = 1.0
 
     def __post_init__(self) -> None:
-        require_not_negative(depth=self.depth)
-        require_positive(dome_radius=self.dome_radius)
+        check_bounds(self)
 
     @property
     def radius(self) -> float:
@@ -93,13 +96,12 @@ class Deformation(Immutable):
     indentation: Indentation = Indentation()
     shaft: NDArray[np.float64] = field(default_factory=lambda: _NO_SHAFT)
     drag: float = 0.0
-    drag_reach: float = 8e-3
-    hole_radius: float = 0.0
+    drag_reach: Positive = 8e-3
+    hole_radius: NotNegative = 0.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "shaft", read_only(self.shaft, "shaft", (None, 3)))
-        require_positive(drag_reach=self.drag_reach)
-        require_not_negative(hole_radius=self.hole_radius)
+        check_bounds(self)
 
     def moved(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the (n, 3) displaced positions of (n, 3) points of the tissue, in T, in m."""

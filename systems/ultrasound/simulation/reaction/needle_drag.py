@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sonoservo.systems.signals.requirements import require, require_positive
+from sonoservo.systems.signals.requirements import Positive, check_bounds, require
 
 _REST = 1e-9
 
@@ -32,7 +32,7 @@ class NeedleDragParameters:
     reach: float = 8e-3
     kept: float = 0.6
     slip_time: float = 0.1
-    relaxation_time: float = 2.0
+    relaxation_time: Positive = 2.0
 
     def __post_init__(self) -> None:
         for name, low, high, unit in (
@@ -43,7 +43,7 @@ class NeedleDragParameters:
         ):
             value = getattr(self, name)
             require(low <= value <= high, name, value, f"from {low:g} to {high:g}{unit}")
-        require_positive(relaxation_time=self.relaxation_time)
+        check_bounds(self)
 
 
 class Drag(NamedTuple):

@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.systems.signals.requirements import require, require_positive
+from sonoservo.systems.signals.requirements import Positive, require
 from sonoservo.systems.ultrasound.simulation.axes import frame_along
 from sonoservo.systems.ultrasound.simulation.structures.structure import (
     Structure,
@@ -40,8 +40,8 @@ class Bone(Structure):
     kind: str = "bone"
     start: list[float] = field(default_factory=lambda: [0.0, -0.03, -0.05])
     end: list[float] = field(default_factory=lambda: [0.0, 0.03, -0.05])
-    width: float = 0.012
-    thickness: float = 0.008
+    width: Positive = 0.012
+    thickness: Positive = 0.008
     level_db: float = 45.0
     diffuse_db: float = -20.0
     shadow: float = 1.0
@@ -49,7 +49,6 @@ class Bone(Structure):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_positive(width=self.width, thickness=self.thickness)
         require_level(level_db=self.level_db)
         require_levels(self.diffuse_db, self.shadow)
         require(self.start != self.end, "end", self.end, "another point than start")

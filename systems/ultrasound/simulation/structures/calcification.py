@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from sonoservo.systems.signals.requirements import require, require_positive
+from sonoservo.systems.signals.requirements import Positive, require
 from sonoservo.systems.ultrasound.simulation.structures.structure import (
     Structure,
     require_level,
@@ -35,13 +35,12 @@ class Calcification(Structure):
 
     kind: str = "calcification"
     centre: list[float] = field(default_factory=lambda: [0.0, 0.0, -0.04])
-    radius: float = 1.5e-3
+    radius: Positive = 1.5e-3
     level_db: float = 34.0
     shadow: float = 0.9
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_positive(radius=self.radius)
         require(self.radius <= 0.02, "radius", self.radius, "at most 0.02 m")
         require_level(level_db=self.level_db)
         require_levels(0.0, self.shadow)

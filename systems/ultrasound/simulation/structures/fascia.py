@@ -5,7 +5,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
+from sonoservo.systems.signals.requirements import (
+    NotNegative,
+    Positive,
+    require,
+)
 from sonoservo.systems.ultrasound.simulation.structures.structure import (
     Structure,
     require_level,
@@ -41,8 +45,8 @@ class Fascia(Structure):
     size: list[float] = field(default_factory=lambda: [0.06, 0.04])
     azimuth_deg: float = 0.0
     dip_deg: float = 0.0
-    wave_height: float = 0.2e-3
-    wave_length: float = 0.02
+    wave_height: NotNegative = 0.2e-3
+    wave_length: Positive = 0.02
     level_db: float = 28.0
     diffuse_db: float = -12.0
     shadow: float = 0.05
@@ -51,8 +55,6 @@ class Fascia(Structure):
         super().__post_init__()
         require(len(self.size) == 2 and min(self.size) > 0, "size", self.size, "two lengths in m")
         require(abs(self.dip_deg) <= 90, "dip_deg", self.dip_deg, "from -90 to 90 deg")
-        require_not_negative(wave_height=self.wave_height)
-        require_positive(wave_length=self.wave_length)
         require_level(level_db=self.level_db)
         require_levels(self.diffuse_db, self.shadow)
 

@@ -1,8 +1,15 @@
 """A refracting layer of fat on top of the tissue, with a lower speed of sound."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
-from sonoservo.systems.signals.requirements import require, require_not_negative
+from sonoservo.systems.signals.requirements import (
+    NotNegative,
+    check_bounds,
+    require,
+    require_not_negative,
+    within,
+)
 
 
 @dataclass(kw_only=True)
@@ -21,17 +28,16 @@ class FatLayer:
         One-way attenuation, in dB/(cm MHz); None for the tissue's.
     """
 
-    thickness: float = 0.0
+    thickness: NotNegative = 0.0
     sound_speed: float = 1450.0
-    level_db: float = -4.0
+    level_db: Annotated[float, within(-100, 40, " dB")] = -4.0
     attenuation: float | None = None
 
     def __post_init__(self) -> None:
-        require_not_negative(thickness=self.thickness)
+        check_bounds(self)
         require(self.thickness <= 0.2, "thickness", self.thickness, "at most 0.2 m")
         allowed = 1300 <= self.sound_speed <= 1700
         require(allowed, "sound_speed", self.sound_speed, "from 1300 to 1700 m/s")
-        require(-100 <= self.level_db <= 40, "level_db", self.level_db, "from -100 to 40 dB")
         if self.attenuation is not None:
             require_not_negative(attenuation=self.attenuation)
             require(self.attenuation <= 30, "attenuation", self.attenuation, "at most 30 dB/cm/MHz")

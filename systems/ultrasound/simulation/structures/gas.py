@@ -6,7 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
 
-from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
+from sonoservo.systems.signals.requirements import (
+    NotNegative,
+    Positive,
+    require,
+)
 from sonoservo.systems.ultrasound.simulation.structures.structure import (
     Structure,
     require_level,
@@ -38,20 +42,18 @@ class Gas(Structure):
     kind: str = "gas"
     centre: list[float] = field(default_factory=lambda: [0.0, 0.0, -0.05])
     size: list[float] = field(default_factory=lambda: [0.02, 0.02])
-    roughness: float = 0.4e-3
-    bump_length: float = 4e-3
+    roughness: NotNegative = 0.4e-3
+    bump_length: Positive = 4e-3
     level_db: float = 44.0
     diffuse_db: float = -10.0
     shadow: float = 0.97
     ring_down_db: float = -34.0
-    ring_down_length: float = 0.04
+    ring_down_length: Positive = 0.04
 
     def __post_init__(self) -> None:
         super().__post_init__()
         require(len(self.size) == 2 and min(self.size) > 0, "size", self.size, "two lengths in m")
-        require_not_negative(roughness=self.roughness)
         require(self.roughness <= 5e-3, "roughness", self.roughness, "at most 5e-3 m")
-        require_positive(bump_length=self.bump_length, ring_down_length=self.ring_down_length)
         require(self.ring_down_db <= 0, "ring_down_db", self.ring_down_db, "at most 0 dB")
         require_level(level_db=self.level_db)
         require_levels(self.diffuse_db, self.shadow)

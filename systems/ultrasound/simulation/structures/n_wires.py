@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.systems.signals.requirements import require_positive
+from sonoservo.systems.signals.requirements import Positive
 from sonoservo.systems.ultrasound.simulation.structures.structure import (
     Rod,
     Structure,
@@ -35,15 +35,14 @@ class NWires(Structure):
 
     kind: str = "n_wires"
     centre: list[float] = field(default_factory=lambda: [0.0, 0.0, -0.05])
-    length: float = 0.04
-    width: float = 0.02
+    length: Positive = 0.04
+    width: Positive = 0.02
     azimuth_deg: float = 90.0
     level_db: float = 34.0
     diffuse_db: float = -20.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_positive(length=self.length, width=self.width)
         require_level(level_db=self.level_db)
         require_levels(self.diffuse_db, 0.0)
 

@@ -6,7 +6,11 @@ from typing import Any, ClassVar, NamedTuple, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sonoservo.systems.signals.requirements import require, require_not_negative
+from sonoservo.systems.signals.requirements import (
+    NotNegative,
+    check_bounds,
+    require,
+)
 from sonoservo.systems.ultrasound.simulation.axes import frame_along
 from sonoservo.systems.ultrasound.simulation.structures.surface import (
     Surface,
@@ -66,12 +70,12 @@ class BesideNeedle:
         is above it.
     """
 
-    distance: float = 3e-3
-    along: float = 0.04
+    distance: NotNegative = 3e-3
+    along: NotNegative = 0.04
     angle_deg: float = -90.0
 
     def __post_init__(self) -> None:
-        require_not_negative(distance=self.distance, along=self.along)
+        check_bounds(self)
         require(self.distance <= 0.2, "distance", self.distance, "at most 0.2 m")
         require(self.along <= 0.5, "along", self.along, "at most 0.5 m")
 
@@ -117,6 +121,7 @@ class Structure:
     beside_needle: BesideNeedle | None = None
 
     def __post_init__(self) -> None:
+        check_bounds(self)
         for name in self.POINTS:
             value = np.asarray(getattr(self, name), dtype=float)
             allowed = value.shape[-1:] == (3,) and bool((np.abs(value) <= 2).all())

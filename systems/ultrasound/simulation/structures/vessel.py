@@ -7,7 +7,11 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
+from sonoservo.systems.signals.requirements import (
+    NotNegative,
+    Positive,
+    require,
+)
 from sonoservo.systems.ultrasound.simulation.axes import frame_along
 from sonoservo.systems.ultrasound.simulation.structures.structure import (
     Structure,
@@ -52,14 +56,14 @@ class Vessel(Structure):
     path: list[list[float]] = field(
         default_factory=lambda: [[-0.03, 0.0, -0.045], [0.03, 0.0, -0.045]]
     )
-    radius: float = 3e-3
+    radius: Positive = 3e-3
     lumen_db: float = -35.0
     level_db: float = 36.0
     diffuse_db: float = -16.0
     shadow: float = 0.0
-    pulsation: float = 0.05
-    heart_rate: float = 1.2
-    attenuation: float = 0.18
+    pulsation: NotNegative = 0.05
+    heart_rate: Positive = 1.2
+    attenuation: NotNegative = 0.18
     flow_speed: float = 0.0
 
     def __post_init__(self) -> None:
@@ -67,9 +71,7 @@ class Vessel(Structure):
         require(len(self.path) >= 2, "path", self.path, "at least two points")
         steps = np.linalg.norm(np.diff(self.path, axis=0), axis=1)
         require(bool((steps > 1e-6).all()), "path", self.path, "points apart from each other")
-        require_positive(radius=self.radius, heart_rate=self.heart_rate)
         require(self.radius <= 0.05, "radius", self.radius, "at most 0.05 m")
-        require_not_negative(pulsation=self.pulsation, attenuation=self.attenuation)
         require(self.pulsation <= 0.5, "pulsation", self.pulsation, "at most 0.5")
         flows = 0 <= self.flow_speed <= 2
         require(flows, "flow_speed", self.flow_speed, "from 0 to 2 m/s")

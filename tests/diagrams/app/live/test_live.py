@@ -31,12 +31,12 @@ from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.live.connection.items import ImageItem, PoseItem, StatusItem, TextItem
 from sonoservo.systems.live.connection.link import Link
 from sonoservo.systems.live.connection.protocols import parse_address
+from sonoservo.systems.live.feeds import needle_feed, volume_items
 from sonoservo.systems.live.image_matcher import ImageMatcher
 from sonoservo.systems.live.live_source import LiveSource
 from sonoservo.systems.live.motor_sweep import MotorSweepParameters, MotorSweepVolumes
-from sonoservo.systems.live.needle_sender import NeedleSender
+from sonoservo.systems.live.sender import Sender
 from sonoservo.systems.live.volume_receiver import VolumeReceiver
-from sonoservo.systems.live.volume_sender import volume_items
 from sonoservo.systems.recording.recording import Recording
 from sonoservo.systems.recording.recording_writer import RecordingWriter
 from sonoservo.systems.recording.side_files import ACQUISITION, side_path
@@ -285,7 +285,7 @@ def test_receiver_tracker_and_sender_are_a_diagram(recording):
     builder = DiagramBuilder()
     receiver = builder.AddSystem(VolumeReceiver(source=source))
     tracker = builder.AddSystem(MakeNeedleTracker(parameters=anywhere(), period=0.1, offset=0.05))
-    sender = builder.AddSystem(NeedleSender(outlet=outlet, period=0.1, offset=0.09))
+    sender = builder.AddSystem(Sender(outlet=outlet, feed=needle_feed(), period=0.1, offset=0.09))
     builder.Connect(receiver.GetOutputPort("volume"), tracker.GetInputPort("volume"))
     builder.Connect(tracker.GetOutputPort("estimate"), sender.GetInputPort("estimate"))
     simulator = Simulator(builder.Build())

@@ -17,8 +17,8 @@ from sonoservo.systems.live.connection.link import Link
 from sonoservo.systems.live.connection.open_igt_link import encode
 from sonoservo.systems.live.connection.outbox import Outbox
 from sonoservo.systems.live.connection.protocols import parse_address
+from sonoservo.systems.live.feeds import volume_items
 from sonoservo.systems.live.live_source import LiveSource
-from sonoservo.systems.live.volume_sender import volume_items
 
 
 class Ear:
