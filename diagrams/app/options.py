@@ -60,6 +60,10 @@ JsonOption = Annotated[
     typer.Option("--json", help="Also write the printed figures to this file; - prints only them."),
 ]
 WaitOption = Annotated[int, typer.Option(min=0, help="Live: number of peers to wait for.")]
+LogOption = Annotated[
+    Path | None,
+    typer.Option("--log", help="Log for a viewer: NAME.rrd (Rerun), NAME.mcap (Foxglove, ROS 2)."),
+]
 ExplainOption = Annotated[
     bool,
     typer.Option(

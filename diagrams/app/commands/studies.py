@@ -28,6 +28,7 @@ from sonoservo.diagrams.studies.progress import Heartbeat
 from sonoservo.systems.files.refusals import ConfigurationError
 
 if TYPE_CHECKING:
+    from sonoservo.diagrams.scenario import Scenario
     from sonoservo.diagrams.studies.study import Executor
 
 
@@ -58,7 +59,10 @@ def dataset_command(
         typer.Option("--randomize", help="Also draw the dials that `sonoservo list` names."),
     ] = False,
     layout: Annotated[
-        str, typer.Option(help="Layout of the files: sequences, nnunet or zea.")
+        str,
+        typer.Option(
+            help="Layout of the files: sequences, nnunet, zea, or lerobot: episodes of runs."
+        ),
     ] = "sequences",
     store: Annotated[
         str | None,
@@ -77,6 +81,9 @@ def dataset_command(
     from sonoservo.diagrams.studies.datasets.dataset import make_dataset
 
     loaded = load_scenario(scenario, changes=changes, seed=seed)
+    if layout == "lerobot":
+        _make_episodes(loaded, out, count, jobs, cluster, case_limit, json_path)
+        return
     with opened(cluster, case_limit) as executor:
         manifest = make_dataset(
             loaded,
@@ -98,6 +105,28 @@ def dataset_command(
     )
     write_printed(json_path, manifest)
     if manifest["failed"]:
+        raise typer.Exit(1)
+
+
+def _make_episodes(
+    scenario: "Scenario",
+    out: Path,
+    count: int,
+    jobs: int,
+    cluster: str | None,
+    case_limit: float,
+    json_path: Path | None,
+) -> None:
+    """Write runs of a scenario as episodes of LeRobot."""
+    from sonoservo.diagrams.studies.datasets.lerobot_episodes import make_episodes
+
+    with opened(cluster, case_limit) as executor:
+        info = make_episodes(
+            scenario, out, count=count, jobs=jobs, cluster=executor, console=console
+        )
+    console.print(f"{info['total_episodes']} episodes: {out}/meta/info.json", soft_wrap=True)
+    write_printed(json_path, info)
+    if info["total_episodes"] < count:
         raise typer.Exit(1)
 
 
