@@ -1,4 +1,4 @@
-"""Episodes in LeRobot's layout, against its documentation and, where it is installed, its loader."""
+"""Episodes in LeRobot's layout, against its documentation and, if there is one, its loader."""
 
 import io
 import json
