@@ -128,7 +128,7 @@ class FollowNeedle(DrakeGymEnv):
             reset_handler=self._land,
         )
         self.render_mode = render_mode
-        vars(self).pop("metadata", None)  # that of the base class, which shows by itself
+        self.metadata["render_modes"] = ["rgb_array"]  # the base class has its own
         self.info_handler = lambda simulator: self._info(simulator.get_context())
 
     def _load(self, changes: Sequence[str], seed: int) -> FollowingScenario:
