@@ -20,8 +20,13 @@ PACKAGES = sorted(
     for path in (ROOT / folder).rglob("__init__.py")
 )
 WITHOUT = {
+    **{
+        f"diagrams.app{room}": "what a person types; the face of diagrams has it for Python"
+        for room in ("", ".commands", ".kept_runs", ".live", ".pages", ".volumes")
+    },
     "models": "its one function stands in its __init__",
     "systems": "a folder of rooms",
+    "systems.files": "formats and safe writing, for the rooms above it",
     "systems.display": "a folder of rooms",
     "systems.sampling": "compiled loops that only the rooms beside it call",
     "systems.ultrasound.simulation.kernels": "compiled loops that only the renderer calls",

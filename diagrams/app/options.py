@@ -17,6 +17,7 @@ from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
 import typer
 from rich.console import Console
 
+from sonoservo.diagrams.studies.cluster.opening import CASE_LIMIT_S
 from sonoservo.systems.files.memory import DEFAULT_MEMORY_GB, set_memory_budget
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.writing import to_json, write_json
@@ -44,21 +45,6 @@ ChangesOption = Annotated[
     list[str] | None, typer.Option("--set", help="Change a field: path.to.field=value; repeatable.")
 ]
 SeedOption = Annotated[int | None, typer.Option(min=0, help="Random seed of the run.")]
-OutOption = Annotated[Path | None, typer.Option(help="Folder for the results.")]
-JobsOption = Annotated[int, typer.Option(help="Number of processes; -1 for one per core.")]
-ClusterOption = Annotated[
-    str | None,
-    typer.Option(
-        help="Run on a cluster of Dask: tcp://HOST:PORT, local:N, or a FILE.yaml for a job queue."
-    ),
-]
-CaseLimitOption = Annotated[
-    float, typer.Option("--case-limit", help="Longest time in s of a run on a cluster.")
-]
-JsonOption = Annotated[
-    Path | None,
-    typer.Option("--json", help="Also write the printed figures to this file; - prints only them."),
-]
 WaitOption = Annotated[int, typer.Option(min=0, help="Live: number of peers to wait for.")]
 LogOption = Annotated[
     Path | None,
@@ -69,12 +55,6 @@ ExplainOption = Annotated[
     typer.Option(
         "--explain", help="Keep what the tracker saw around a loss; see `sonoservo explain`."
     ),
-]
-HostOption = Annotated[
-    str, typer.Option(help="Address to serve the page on; * for all addresses of this machine.")
-]
-OpenOption = Annotated[
-    bool, typer.Option("--open/--no-open", help="Open the page in the browser of this desktop.")
 ]
 DebugOption = Annotated[
     bool, typer.Option("--debug", help="Show the traceback of an error.", show_default=False)
@@ -301,16 +281,48 @@ class Serving:
 class Page:
     """Page in the browser."""
 
-    host: HostOption = "localhost"
-    open_page: OpenOption = True
+    host: Annotated[
+        str, typer.Option(help="Address to serve the page on; * for all addresses of this machine.")
+    ] = "localhost"
+    open_page: Annotated[
+        bool, typer.Option("--open/--no-open", help="Open the page in the browser of this desktop.")
+    ] = True
 
 
 @dataclass(kw_only=True)
-class Results:
+class Workers:
+    """Processes and cluster."""
+
+    jobs: Annotated[int, typer.Option(help="Number of processes; -1 for one per core.")] = -1
+    cluster: Annotated[
+        str | None,
+        typer.Option(
+            help="Run on a cluster of Dask: tcp://HOST:PORT, local:N, or a FILE.yaml for a job "
+            "queue."
+        ),
+    ] = None
+    case_limit: Annotated[float, typer.Option(help="Longest time in s of a run on a cluster.")] = (
+        CASE_LIMIT_S
+    )
+
+
+@dataclass(kw_only=True)
+class Printed:
     """Results."""
 
-    out: OutOption = None
-    json_path: JsonOption = None
+    json_path: Annotated[
+        Path | None,
+        typer.Option(
+            "--json", help="Also write the printed figures to this file; - prints only them."
+        ),
+    ] = None
+
+
+@dataclass(kw_only=True)
+class Results(Printed):
+    """Results."""
+
+    out: Annotated[Path | None, typer.Option(help="Folder for the results.")] = None
 
 
 def with_common_options(command: Callable[..., None]) -> Callable[..., None]:

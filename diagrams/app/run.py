@@ -3,6 +3,7 @@
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, nullcontext
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -184,5 +185,7 @@ def finish(kept: KeptRun, experiment: Experiment[Any]) -> RunResult:
 def _bar(scenario: Scenario, wanted: bool | None) -> Progress | None:
     """Return a progress bar, if it is wanted or, by default, if somebody sees it."""
     terminal = Terminal()
-    seen = terminal.is_jupyter or (terminal.is_terminal and sys.stdout.isatty())
+    seen = terminal.is_terminal and sys.stdout.isatty()
+    if terminal.is_jupyter:  # where a bar is a widget
+        seen = find_spec("ipywidgets") is not None
     return Progress(terminal, scenario) if (seen if wanted is None else wanted) else None

@@ -2,6 +2,7 @@
 
 import inspect
 from collections.abc import Iterator
+from html import escape
 from importlib import import_module
 from itertools import groupby
 from pathlib import Path
@@ -42,18 +43,21 @@ def write_reference(folder: Path) -> None:
 
 
 def fields_page(name: str) -> str:
-    """Return the page of all fields of an experiment, by section, with the meaning beside each."""
-    page = [f"# Fields: {name.replace('_', ' ')}", "", f"`experiment: {name}`"]
+    """Return the page of all fields of an experiment, with their meanings, folded by section."""
+    title = f"# Fields: {name.replace('_', ' ')}"
+    page = [title, "", f"`experiment: {name}`. A click unfolds a section."]
     rows = field_rows(experiment_class(name).scenario_class)
-    for section, fields in groupby(rows, lambda row: row[0].partition(".")[0]):
-        fields = list(fields)
-        inner = len(fields) > 1
-        if inner or not any(line.startswith("| ") for line in page[-1:]):
-            page += ["", f"## {section if inner else 'Fields'}", ""]
-            page += ["| field | meaning | default |", "|---|---|---|"]
-        for path, default, text in fields:
-            page.append(f"| `{path}` | {text} | {default} |")
+    groups = [list(each) for _, each in groupby(rows, lambda row: row[0].partition(".")[0])]
+    page += ["", *_fields_table([group[0] for group in groups if len(group) == 1])]
+    for (path, _, text), *inner in (group for group in groups if len(group) > 1):
+        summary = f"<summary><code>{path}</code>: {escape(text)}</summary>"
+        page += ["", "<details>", summary, "", *_fields_table(inner), "", "</details>"]
     return "\n".join(page) + "\n"
+
+
+def _fields_table(rows: list[tuple[str, str, str]]) -> list[str]:
+    lines = [f"| `{path}` | {text} | {default} |" for path, default, text in rows]
+    return ["| field | meaning | default |", "|---|---|---|", *lines]
 
 
 def room_page(room: str, words: str) -> str:

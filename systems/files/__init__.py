@@ -3,7 +3,3 @@
 Errors in a setting name its field. Whatever fails while a file is read becomes one line that names
 the file. A file is written completely or not at all. The package imports only `models`.
 """
-
-from lazy_loader import attach_stub
-
-__getattr__, __dir__, __all__ = attach_stub(__name__, __file__)

@@ -1,11 +1,8 @@
 from .acquisition import Acquired as Acquired
-from .acquisition import acquired_from as acquired_from
-from .blur import blur_covariance as blur_covariance
 from .body_surface import BodySurface as BodySurface
 from .cross_section import CrossSection as CrossSection
 from .cross_section_track import CrossSectionTrack as CrossSectionTrack
 from .curvature_wander import WanderModes as WanderModes
-from .curvature_wander import wander_modes as wander_modes
 from .guard_status import GuardState as GuardState
 from .guard_status import GuardStatus as GuardStatus
 from .image_click import ImageClick as ImageClick
@@ -29,9 +26,7 @@ from .needle_estimate import TrackingMode as TrackingMode
 from .needle_measurement import NeedleMeasurement as NeedleMeasurement
 from .needle_prediction import NeedlePrediction as NeedlePrediction
 from .needle_shape import NeedleShape as NeedleShape
-from .needle_shape import path_statistics as path_statistics
 from .planes import Plane as Plane
-from .planes import box_edges as box_edges
 from .planes import sample_plane as sample_plane
 from .planes import sample_sector as sample_sector
 from .planes import slice_planes as slice_planes
@@ -41,7 +36,6 @@ from .ports import declare_inputs as declare_inputs
 from .ports import declare_output as declare_output
 from .ports import evaluate as evaluate
 from .radio_frequency_sweep import RadioFrequencySweep as RadioFrequencySweep
-from .random_streams import random_stream as random_stream
 from .reconstructed_volume import ReconstructedVolume as ReconstructedVolume
 from .requirements import Bounded as Bounded
 from .requirements import check_bounds as check_bounds

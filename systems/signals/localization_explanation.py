@@ -29,8 +29,8 @@ class SearchRegion(Immutable):
         Largest angle between the needle and the curve, in rad.
     entry
         (3,) position of the entry in W, in m; None if it is unknown.
-    tip_unseen
-        Time since the tip was last seen, in s.
+    tip_std
+        Standard deviation of the tip that is expected there, along the curve, in m.
     """
 
     curve: NeedleCurve
@@ -40,7 +40,7 @@ class SearchRegion(Immutable):
     shaft_beyond: float
     max_angle: float
     entry: NDArray[np.float64] | None = None
-    tip_unseen: float = 0.0
+    tip_std: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,47 +79,45 @@ class AxisProfile(Immutable):
         object.__setattr__(self, "seen", read_only(self.seen, "seen", (m,), np.bool_))
 
 
+TIP_IS_SEEN = 0.8
+"""Probability from which on an end counts as the tip."""
+
+
 @dataclass(frozen=True)
 class NeedleExtent(Immutable):
-    """Stretch over which a needle is visible along its axis.
+    """Stretch over which a needle is visible along its axis, and where its tip is.
 
     Parameters
     ----------
-    start, tip
-        Abscissae of the ends, in m.
+    start, end
+        Abscissae between which the needle stands out, in m.
+    tip, tip_std
+        Most probable abscissa of the tip and its standard deviation, in m.
+    seen
+        Probability that the tip is seen.
     entered
         Abscissa in m at which the axis enters the field of view; -inf if it enters before the
         profile begins.
     leaves
-        Whether the needle leaves the field of view and its tip is not seen.
+        Whether the needle leaves the field of view.
     evidence
         Integral along the stretch of the evidence for a needle, in dB m. It is about 2 dB times the
         length. Lines through speckle reach 6 dB mm, and a needle of 5 mm reaches 12 to 30 dB mm.
-    tip_std
-        Standard deviation of the tip due to the blur and the shape of the end, and to what gaps in
-        the needle may hide beyond it, in m; that of a faint end if there is a faint part.
-    end_std
-        Part of it due to the end itself, in m.
-    faint
-        Length of the last part, which stands out only as a whole, in m.
-    continues
-        Whether the needle may go further; see `faint_part`.
     """
 
     start: float
+    end: float
     tip: float
+    tip_std: float
+    seen: float
     entered: float
     leaves: bool
     evidence: float
-    tip_std: float = 0.0
-    end_std: float = 0.0
-    faint: float = 0.0
-    continues: bool = False
 
     @property
-    def visible_tip(self) -> float:
-        """Abscissa up to which the needle stands out, apart from hidden parts in between, in m."""
-        return self.tip - self.faint
+    def tip_seen(self) -> bool:
+        """Whether the end in view is taken for the tip."""
+        return self.seen >= TIP_IS_SEEN and not self.leaves
 
 
 @dataclass(frozen=True, eq=False)

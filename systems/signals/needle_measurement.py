@@ -31,8 +31,7 @@ class NeedleMeasurement(Immutable):
     X_WP
         Pose of the probe from which the tip was seen; None if unknown.
     tip_seen
-        Whether the tip was seen. If not, the curve ends where the tip was expected, as the needle
-        fades before it.
+        Whether the end of the curve was seen to be the tip. If not, the needle may go on beyond it.
     """
 
     curve: NeedleCurve

@@ -34,8 +34,6 @@ class NeedlePrediction(Immutable):
         (3,) last measured position of the entry in W, in m; None while the entry is a guess.
     missed
         Number of successive volumes that did not confirm the needle.
-    tip_unseen
-        Time since the tip was last seen, in s.
     everywhere
         Whether the whole volume is searched, because the needle was lost or never seen.
     found
@@ -56,7 +54,6 @@ class NeedlePrediction(Immutable):
     covariance: NDArray[np.float64] | None = None
     entry: NDArray[np.float64] | None = None
     missed: int = 0
-    tip_unseen: float = 0.0
     everywhere: bool = False
     found: bool = False
 

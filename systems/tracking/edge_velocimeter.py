@@ -1,6 +1,6 @@
 """Speed of the tip from the displacement of the needle's end between two volumes."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,7 +82,8 @@ def measure_edge_velocity(
     for volume in (previous, current):
         stop = parameters.behind + parameters.beyond
         profile = axis_profile(volume, axis, 0.0, stop, parameters.profile)
-        extent = find_extent(profile, parameters.profile)
+        # Where on its bevel the needle seems to end does not change from one volume to the next.
+        extent = find_extent(profile, replace(parameters.profile, bevel_length=0.0))
         if isinstance(extent, NotFound):
             return extent
         if extent.leaves:

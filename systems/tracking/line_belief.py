@@ -24,6 +24,7 @@ from sonoservo.systems.tracking.line_contrast import (
     BIN,
     BINS,
     MIDDLES,
+    contrasts_and_sides,
     line_contrasts,
     log_ratio,
     stretches,
@@ -52,9 +53,22 @@ _PLACE, _DEPTH, _TURN = 2e-3, 6e-3, np.deg2rad(2.0)
 """Unit of the probe's motion between two volumes: across its axis and along it in m, and turn in
 rad, after which half of the speckle is new."""
 
-_PRIORS = np.array([0.01, 0.01, 0.7, 0.08, 0.2])
-"""Prior probabilities of a line: needle from either end, resting, riding, and nothing but speckle.
-"""
+_OTHERS = np.array([0.7, 0.1, 0.2])
+"""Prior probabilities of a line that is no needle: resting, riding, and nothing but speckle."""
+
+_NEEDLES, _MOST_NEEDLES = 0.02, 0.02
+"""Number of needles that come with a volume, and largest prior probability that a new line is one:
+the more lines come, the fewer of them are needles."""
+
+_BIRTHS = 0.05
+"""Share of a volume in the average number of lines that come with one."""
+
+_MISTAKEN = 0.02
+"""Probability that a better fit is that of another line."""
+
+_SHADOWED, _LIGHTER = 10.0, 0.5
+"""Fall of the level beside a bin in dB by which something shadows it, so that it tells nothing, and
+by how much that level may fall from volume to volume without a shadow."""
 
 _APPEARS, _APPEARS_BY_MOTION = 0.002, 0.05
 """Probabilities that a line appears at once with a volume, at rest and per unit of motion: a
@@ -132,6 +146,8 @@ class Lines:
         (n, 3) the same of the line that keeps its place in the image, in P.
     shown, logs
         (n, t, BINS) see `add_volume`.
+    sides
+        (n, BINS) level beside each bin in dB, while nothing shadows it.
     image_shown, image_logs
         (n, 1, BINS) the same along the line that keeps its place in the image.
     contrasts, seen
@@ -144,6 +160,12 @@ class Lines:
         (n,) numbers by which the lines are known.
     classes
         (n, 6) logarithms of the probabilities of the classes, the needle's in either sense.
+    prior
+        (n, 5) logarithms of the prior probabilities of needle from either end, resting, riding and
+        nothing, to which all that is in ``logs`` is new.
+    past
+        (n, `_REMEMBERED`, 5) what was believed after each of the volumes remembered, oldest first.
+        A line that is fitted anew is looked for in them again, so the oldest becomes its prior.
     """
 
     points: Floats
@@ -153,6 +175,7 @@ class Lines:
     image_directions: Floats
     shown: Floats
     logs: Floats
+    sides: NDArray[np.float32]
     image_shown: Floats
     image_logs: Floats
     contrasts: NDArray[np.float32]
@@ -162,6 +185,8 @@ class Lines:
     looked: Floats
     numbers: Floats
     classes: Floats
+    prior: Floats
+    past: Floats
 
     def __len__(self) -> int:
         return len(self.numbers)
@@ -190,9 +215,10 @@ def _new_lines(ends: Floats, ends_P: Floats, numbers: Floats, times: int) -> Lin
     return Lines(
         points, directions, 0.5 * length * [-1.0, 1.0], image_points, image_directions,
         np.full((n, times, BINS), _SHOWS), np.zeros((n, times, BINS)),
-        np.full((n, 1, BINS), _SHOWS), np.zeros((n, 1, BINS)),
+        np.zeros((n, BINS), np.float32), np.full((n, 1, BINS), _SHOWS), np.zeros((n, 1, BINS)),
         np.zeros((n, BINS), np.float32), np.zeros((n, BINS), bool),
         np.zeros(n), np.zeros(n), np.zeros(n), numbers, np.zeros((n, 1 + len(LINE_CLASSES))),
+        np.zeros((n, 5)), np.zeros((n, _REMEMBERED, 5)),
     )  # fmt: skip
 
 
@@ -212,8 +238,8 @@ class LineBelief(Immutable):
     appearing
         Logarithms of the prior probability that a line appeared, for each time of arrival; the
         first stands for "always".
-    born
-        Number of lines so far.
+    born, births
+        Number of lines so far, and how many come with a volume, averaged over the last ones.
     unread
         Last volumes that nobody looked for lines in, oldest first.
     """
@@ -222,6 +248,7 @@ class LineBelief(Immutable):
     lines: Lines = field(default_factory=lambda: _NONE)
     appearing: tuple[float, ...] = (-50.0,)
     born: int = 0
+    births: float = 0.0
     unread: tuple[Volume, ...] = ()
 
     @property
@@ -237,7 +264,9 @@ class LineBelief(Immutable):
         arrived in the meantime counts as having been there always.
         """
         volumes = self.unread or tuple(each.volume for each in self.memory)
-        return LineBelief(born=self.born, unread=(*volumes[1 - _REMEMBERED :], volume))
+        return LineBelief(
+            born=self.born, births=self.births, unread=(*volumes[1 - _REMEMBERED :], volume)
+        )
 
     @property
     def hypotheses(self) -> LineHypotheses:
@@ -286,7 +315,11 @@ def follow(belief: LineBelief, volume: Volume, *, look: bool = False) -> LineBel
         appearing = (-50.0, *appearing[1:][1 - _ARRIVALS + 1 :], float(np.log(appears)))
     lines = _look_on(belief.lines, memory, len(appearing))
     born = belief.born
-    lines, born = _add_fits(lines, fitted_lines(volume, memory[-1].cells), memory, born)
+    needle = _NEEDLES / max(belief.births, _NEEDLES / _MOST_NEEDLES)
+    prior = np.log(np.r_[needle / 2, needle / 2, (1 - needle) * _OTHERS])
+    fits = fitted_lines(volume, memory[-1].cells)
+    lines, born = _add_fits(lines, fits, memory, born, prior)
+    births = belief.births + _BIRTHS * (born - belief.born - belief.births)
     order = np.argsort(-lines.prominence, kind="stable")[:_LINES]
     lines = lines.take(order[lines.prominence[order] >= _LEAST_PROMINENCE])
     if len(lines):
@@ -296,11 +329,16 @@ def follow(belief: LineBelief, volume: Volume, *, look: bool = False) -> LineBel
         )
         # Needle either way, resting, riding, appeared, nothing.
         joint = np.column_stack([logs, np.zeros(len(lines))])
-        joint[:, [0, 1, 2, 3, 5]] += np.log(_PRIORS)
+        joint[:, [0, 1, 2, 3, 5]] += lines.prior
         total = np.logaddexp.reduce(joint, axis=1)
-        lines = replace(lines, classes=joint - total[:, np.newaxis])
+        classes = joint - total[:, np.newaxis]
+        now = classes[:, [0, 1, 2, 3, 5]]
+        # What appeared rests from then on.
+        now[:, 2] = np.logaddexp(classes[:, 2], classes[:, 4])
+        past = np.concatenate([lines.past[:, 1:], now[:, np.newaxis]], axis=1)
+        lines = replace(lines, classes=classes, past=past)
         lines = _judged(lines, memory[-1], look)
-    return LineBelief(memory, lines, appearing, born)
+    return LineBelief(memory, lines, appearing, born, births)
 
 
 def _motion(memory: Sequence[Remembered]) -> float:
@@ -335,16 +373,17 @@ def _remember(volume: Volume, memory: Sequence[Remembered]) -> Remembered:
     )
 
 
-def _shown_at(
-    lines: Lines, each: Remembered
-) -> tuple[NDArray[np.float32], NDArray[np.bool_], NDArray[np.float32], NDArray[np.bool_]]:
-    """Return contrasts and flags of what is seen, along lines in the tissue and in the image."""
+def _shown_at(lines: Lines, each: Remembered) -> tuple[Any, Any, Any, Any, Any]:
+    """Return contrasts, levels beside, and flags of what is seen along lines in the tissue.
+
+    Then contrasts and flags along those in the image.
+    """
     reach = MIDDLES[-1] / 2 * lines.directions
     n = len(lines)
     p_P = each.in_image(np.concatenate([lines.points - reach, lines.points + reach]))
     along = p_P[n:] - p_P[:n]
     along /= np.linalg.norm(along, axis=1, keepdims=True)
-    here = line_contrasts(each.volume, 0.5 * (p_P[:n] + p_P[n:]), along)
+    here = contrasts_and_sides(each.volume, 0.5 * (p_P[:n] + p_P[n:]), along)
     riding = line_contrasts(each.volume, lines.image_points, lines.image_directions)
     return *here, *riding
 
@@ -354,7 +393,9 @@ def _add(lines: Lines, memory: Sequence[Remembered], begun: int) -> None:
     motion = _motion(memory)
     renewed = min(_RENEWED + _RENEWED_BY_MOTION * motion, 0.3)
     new = _NEW_IN_MOTION if motion > 0.5 else _NEW_AT_REST
-    contrasts, seen, riding, riding_seen = _shown_at(lines, memory[-1])
+    contrasts, sides, seen, riding, riding_seen = _shown_at(lines, memory[-1])
+    lines.sides[:] = np.where(seen, np.maximum(lines.sides - _LIGHTER, sides), lines.sides)
+    seen = seen & (sides > lines.sides - _SHADOWED)
     shown, logs = lines.shown[:, :begun], lines.logs[:, :begun]
     add_volume(shown, logs, log_ratio(contrasts), seen, renewed, new, _SHOWS)
     add_volume(
@@ -377,6 +418,7 @@ def _look_on(lines: Lines, memory: Sequence[Remembered], times: int) -> Lines:
         else lines.logs.copy(),
         image_shown=lines.image_shown.copy(),
         image_logs=lines.image_logs.copy(),
+        sides=lines.sides.copy(),
         contrasts=lines.contrasts.copy(),
         seen=lines.seen.copy(),
     )
@@ -388,9 +430,16 @@ def _look_on(lines: Lines, memory: Sequence[Remembered], times: int) -> Lines:
 
 
 def _add_fits(
-    lines: Lines, fits: Sequence[FittedLine], memory: Sequence[Remembered], born: int
+    lines: Lines,
+    fits: Sequence[FittedLine],
+    memory: Sequence[Remembered],
+    born: int,
+    prior: Floats,
 ) -> tuple[Lines, int]:
-    """Return lines with the fits of a volume: better ones replace, and new ones are looked for."""
+    """Return lines with the fits of a volume: better ones replace, and new ones are looked for.
+
+    ``prior`` are the (5,) logarithms of the prior probabilities of new ones.
+    """
     if not fits:
         return lines, born
     newest, times = memory[-1], lines.logs.shape[1]
@@ -426,6 +475,13 @@ def _add_fits(
     for name in ("looks", "looked", "numbers"):
         getattr(added, name)[: len(olds)] = getattr(lines, name)[olds]
     added.numbers[len(olds) :] = born + np.arange(len(new))
+    added.prior[:] = prior
+    added.past[:] = prior
+    before = lines.past[olds]
+    added.past[: len(olds)] = before
+    added.prior[: len(olds)] = np.logaddexp(
+        before[:, 0] + np.log(1 - _MISTAKEN), prior + np.log(_MISTAKEN)
+    )
     kept = np.setdiff1d(np.arange(len(lines)), olds)
     return replace(lines, spans=spans).take(kept).join(added), born + len(new)
 

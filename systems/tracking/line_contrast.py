@@ -60,11 +60,13 @@ def _line_contrasts(  # pragma: no cover - compiled
 
     Returns
     -------
-    (n, count) grey levels of the core above the second brightest of eight sectors of the ring, and
-    (n, count) flags of the bins that are seen. A sheet has two sectors as bright as the line.
+    (n, count) grey levels of the core above the second brightest of eight sectors of the ring, that
+    sector's level, and (n, count) flags of the bins that are seen. A sheet has two sectors as
+    bright as the line.
     """
     nx, ny, nz = intensities.shape
     contrasts = np.zeros((len(starts), count), np.float32)
+    beside = np.zeros((len(starts), count), np.float32)
     seen = np.zeros((len(starts), count), np.bool_)
     core, sides = np.zeros(count), np.zeros((count, 8))
     valid = np.zeros((count, 8), np.int64)
@@ -120,8 +122,8 @@ def _line_contrasts(  # pragma: no cover - compiled
                             brightest, second = total, brightest
                         elif total > second:
                             second = total
-                contrasts[n, b] = core[b] - second
-    return contrasts, seen
+                contrasts[n, b], beside[n, b] = core[b] - second, second
+    return contrasts, beside, seen
 
 
 def across(directions: Floats) -> Floats:
@@ -150,7 +152,15 @@ def line_contrasts(
     -------
     (n, BINS) levels in dB above the second brightest side, and (n, BINS) flags of what is seen.
     """
-    contrasts, seen = _line_contrasts(
+    contrasts, _, seen = contrasts_and_sides(volume, points, directions)
+    return contrasts, seen
+
+
+def contrasts_and_sides(
+    volume: Volume, points: Floats, directions: Floats
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_]]:
+    """Return what `line_contrasts` does, with the (n, BINS) levels of the sides in dB between."""
+    contrasts, beside, seen = _line_contrasts(
         volume.intensities,
         volume.seen,
         volume.index(points + MIDDLES[0] * directions),
@@ -158,7 +168,8 @@ def line_contrasts(
         across(directions) / volume.spacing,
         BINS,
     )
-    return contrasts * np.float32(volume.decibels_per_level), seen
+    scale = np.float32(volume.decibels_per_level)
+    return contrasts * scale, beside * scale, seen
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -52,15 +52,6 @@ class NeedleLocalizerParameters(Bounded):
         Standard deviation of the entry along the axis, in m. A volume does not show that position.
         The entry is at rest, so its last position is taken as measured. If its predicted position
         were taken, nothing would ever contradict a velocity along the axis.
-    unseen_tip_std
-        Standard deviation of the tip along the axis if the needle leaves the field of view, in m;
-        also the largest one. So it is if the needle fades before its tip.
-    faded_std
-        Standard deviation of a visible end, in m, above which the needle may go on beyond it. A
-        faint end has its own rule; see `fades_before_tip`.
-    max_shortening, max_unseen
-        Distance in m by which a hand cannot have shortened the needle between two volumes. An end
-        that seems that much too short is not the tip until this time, in s, has passed.
     echo_offset, echo_offset_std
         Distance from the centre of the needle's echo to its axis, away from the probe, in m, and
         its standard deviation, as the gauge is unknown. Most of the sound returns from the front
@@ -96,10 +87,6 @@ class NeedleLocalizerParameters(Bounded):
     correlation_length: Positive = 2e-3
     tip_std: Positive = 0.25e-3
     entry_std: Positive = 1e-3
-    unseen_tip_std: Positive = 10e-3
-    faded_std: Positive = 1e-3
-    max_shortening: Positive = 15e-3
-    max_unseen: Positive = 0.7
     echo_offset: float = 0.4e-3
     echo_offset_std: NotNegative = 0.2e-3
     systematic_std: Positive = 0.1e-3

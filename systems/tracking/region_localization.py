@@ -24,7 +24,6 @@ from sonoservo.systems.tracking.localizer_parameters import NeedleLocalizerParam
 from sonoservo.systems.tracking.ransac import ransac_axis
 from sonoservo.systems.tracking.search_region import (
     EVERYWHERE,
-    fades_before_tip,
     turns_too_far,
 )
 from sonoservo.systems.tracking.tip import axis_profile, find_extent
@@ -120,7 +119,7 @@ def _extent(
 ) -> NeedleExtent:
     """Find the points at which the needle begins and ends along an axis."""
     ends = np.sort(fit.axis.abscissa(region.curve.control_points[[0, -1]]))
-    expected = -np.inf if region.entry is None else float(ends[1])
+    expected = None if region.entry is None else (float(ends[1]), region.tip_std)
     # A needle that was thrown forwards goes on beyond the region.
     for beyond in (region.beyond, EVERYWHERE):
         start, stop = ends[0] - region.before, ends[1] + beyond
@@ -135,8 +134,8 @@ def _extent(
         predicted = profile.seen & (profile.a >= ends[0]) & (profile.a <= ends[1])
         share = parameters.min_share * parameters.tip.step * float(predicted.sum())
         least = max(least, min(share, parameters.min_shaft))
-    if extent.visible_tip - extent.start < least:
-        visible = 1e3 * max(extent.visible_tip - extent.start, 0.0)
+    if extent.end - extent.start < least:
+        visible = 1e3 * max(extent.end - extent.start, 0.0)
         raise _AbsentError(SearchReason.HARDLY_SEEN(f" {visible:.1f} mm of the needle are visible"))
     return extent
 
@@ -189,24 +188,18 @@ def _judge(
         # A probe that follows a needle on its way out sees more of it than its known entry.
         outside = extent.tip - known < parameters.min_length and known - start > region.before / 2
         start = start if outside else known
-    fades = fades_before_tip(region, fit.axis, extent, parameters)
-    tip = float(fit.axis.abscissa(region.curve.tip)) if fades else extent.tip
     if extent.tip - start < parameters.min_length:
         raise _AbsentError(SearchReason.WITHDRAWN(" to its entry"))
     # Interior points are uniform along the chord. The entry rests, the tip moves, no point slides.
     order = region.curve.order
     u = np.linspace(0, 1, order)
-    a = start + u * (tip - start)
+    a = start + u * (extent.tip - start)
     k = fit.axis.direction
     deeper = volume.X_WP.rotation().matrix()[:, 1]
     deeper = deeper - (deeper @ k) * k
     curve = NeedleCurve(fit.axis.position(a) + parameters.echo_offset * deeper)
-    independent = max(
-        (extent.visible_tip - extent.start) / parameters.correlation_length, order + 1.0
-    )
-    tip_std = parameters.unseen_tip_std
-    if not (fades or extent.leaves):
-        tip_std = min(float(np.hypot(parameters.tip_std, extent.tip_std)), tip_std)
+    independent = max((extent.end - extent.start) / parameters.correlation_length, order + 1.0)
+    tip_std = float(np.hypot(parameters.tip_std, extent.tip_std))
     ends = np.stack([1 - u, u], axis=1)
     along = ends @ np.diag([parameters.entry_std**2, tip_std**2]) @ ends.T
     covariance = (
@@ -217,5 +210,11 @@ def _judge(
     )
     time = float(volume.to_world(acquired_from(volume, curve.control_points[-1:]))[1][0])
     return NeedleMeasurement(
-        curve, covariance, time, inliers, ratio, volume.X_WP, tip_seen=not (fades or extent.leaves)
+        curve,
+        covariance,
+        time,
+        inliers,
+        ratio,
+        volume.X_WP,
+        tip_seen=extent.tip_seen,
     )

@@ -25,9 +25,6 @@ that is left for the faintest."""
 _LONG = 20e-3
 """Length in m from which on the direction of a needle is known."""
 
-_SLOW_WITHDRAWAL = 15e-3
-"""Speed in m/s up to which a faint end may be that of a needle being withdrawn."""
-
 _MOST_TURNED, _MOST_ASIDE, _MOST_ADVANCED, _MOST_LENGTHENED = math.radians(20), 25e-3, 50e-3, 1.0
 """Standard deviations of what may have changed since a needle was lost: direction in rad, distances
 of the line from the last axis and between the tips in m, and logarithm of the visible length."""
@@ -50,14 +47,14 @@ def predicted_region(
         curve=curve,
         radius=min(margin + 3 * across, parameters.max_radius),
         before=margin,
-        shaft_beyond=along,
+        shaft_beyond=min(along, margin),
         beyond=min(3 * along + margin, 3 * parameters.max_radius),
+        tip_std=along,
         max_angle=min(
             math.radians(parameters.max_angle_deg) + math.atan2(3 * across, max(curve.chord, 1e-3)),
             math.pi / 2,
         ),
         entry=prediction.entry,
-        tip_unseen=prediction.tip_unseen,
     )
     if not parameters.volume_of_interest:
         far = EVERYWHERE
@@ -140,26 +137,3 @@ def turns_too_far(
     largest = math.radians(parameters.max_angle_deg) * max(share, _LEAST_TURN)
     turn = float(np.clip(axis.direction @ region.curve.direction, -1, 1))
     return math.acos(turn) > largest
-
-
-def fades_before_tip(
-    region: SearchRegion, axis: Axis, extent: NeedleExtent, parameters: NeedleLocalizerParameters
-) -> bool:
-    """Return True if a followed needle is thought to go on beyond its visible end.
-
-    It is visible as far as its echo stands out, and shadows and fading hide parts of it. So an end
-    that is short of the prediction is not the tip if it is a blurred one, if it may go on further,
-    or if no hand can have withdrawn the needle so far since the tip was last seen. A faint end is
-    short of the tip more often, so it must agree with a slow withdrawal.
-    """
-    if region.entry is None or extent.leaves:
-        return False
-    if extent.continues:
-        return True
-    short = float(axis.abscissa(region.curve.tip)) - extent.tip
-    doubtful = short > parameters.max_shortening and region.tip_unseen < parameters.max_unseen
-    if extent.faint > 0:
-        doubtful |= short > parameters.margin + _SLOW_WITHDRAWAL * region.tip_unseen
-    else:
-        doubtful |= extent.end_std > parameters.faded_std
-    return short > parameters.margin and doubtful

@@ -1,5 +1,6 @@
-"""Search for the needle's ends along its axis."""
+"""Where a needle ends along its axis: the posterior of a change point."""
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -7,36 +8,50 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
-from scipy.special import ndtri
 
 from sonoservo.systems.sampling.interpolation import flagged, trilinear
 from sonoservo.systems.signals.acquisition import acquired_from
 from sonoservo.systems.signals.immutable import NotFound
-from sonoservo.systems.signals.localization_explanation import AxisProfile, NeedleExtent
+from sonoservo.systems.signals.localization_explanation import (
+    TIP_IS_SEEN,
+    AxisProfile,
+    NeedleExtent,
+)
 from sonoservo.systems.signals.point_spread import FWHM_PER_SIGMA
-from sonoservo.systems.signals.requirements import Positive, check_bounds, require_positive
+from sonoservo.systems.signals.requirements import (
+    NotNegative,
+    Positive,
+    check_bounds,
+    require_positive,
+)
 from sonoservo.systems.signals.search_reason import SearchReason
 from sonoservo.systems.signals.volume import Volume
 from sonoservo.systems.tracking.axis import Axis
-from sonoservo.systems.tracking.faint_end import FAINT_STD, faint_part
-from sonoservo.systems.tracking.hidden_length import hidden_length
 from sonoservo.systems.tracking.line_contrast import best_stretches
 from sonoservo.systems.tracking.needle_blur import needle_blur
 
-_END_SHARE = 0.45
-"""Standard deviation of a clear and abrupt end, relative to that of the blur."""
+_NOTHING, _SPREAD = 1.8, 0.33
+"""Standard deviation of the contrast in dB where there is no needle, and by how much more a
+needle's deviates from its level so far, per dB of that level: it flashes, fades and hides."""
 
-_ABRUPT_DROP, _FADED = 8.0, 1.25
-"""Drop of the contrast in dB, over two standard deviations of the blur, at which an end is abrupt,
-and the logarithm of the factor on the standard deviation without any drop."""
+_RARE, _RARE_STD, _RARE_SPREAD = 0.06, 5.0, 2.3
+"""Share of contrasts that something else explains, their standard deviation in dB where there is no
+needle, and the factor on it along one."""
 
-_ROUGH_CONTRAST, _MIRROR_CONTRAST = 16.0, 24.0
-"""Contrast in dB up to which an end is rough, and from which on it is like a mirror."""
+_TREND, _BEFORE = 5e-3, 1e-3
+"""Length in m whose mean contrast is a needle's level so far, and its distance from there."""
 
-_CLEAR_CONTRAST, _FAINT = 14.0, 3.6
-"""Contrast in dB at which an end is clear, and the logarithm of the factor without any contrast.
-All five were fitted to 640 volumes of two image models with sharp, faint and fading needles."""
+_MIRROR = 16.0, 24.0
+"""Contrast in dB up to which an end is rough, and from which on it mirrors sound."""
 
+_REACH = 50e-3
+"""Mean length in m of what is not seen of a needle, beyond where it was last seen."""
+
+_AGREES = 0.9
+"""Probability that a needle does as predicted from one volume to the next."""
+
+_NEAR = 6e-3
+"""Distance in m within which ends are one end."""
 
 _EMPTY = 15.0
 """Level of the background in dB, below that around the needle, at which there is no tissue."""
@@ -64,12 +79,9 @@ class TipParameters:
         Largest evidence of one sample for the needle, in dB above ``contrast``.
     smoothing
         Length over which the intensity is averaged, in m.
-    end_contrast, min_end_contrast
-        Largest and smallest contrast below which the blurred end of the needle is lost in the
-        background, in dB. In between, it is half the needle's contrast near its end.
-    end_length
-        Length of needle whose largest contrast is the end's level, in m. The needle's contrast near
-        its end is the median over twice this length.
+    bevel_length
+        Length of the ground part of the tip along the needle, in m. It scatters less than the shaft
+        or more, as it is turned, so a rough end may be that of the shaft or the foremost point.
     beam_width
         Width of the beam along the needle at half amplitude, in m. The beam blurs the tip outwards.
         This value is used only for volumes that do not know their point spread; if it is None, the
@@ -82,9 +94,7 @@ class TipParameters:
     contrast: Positive = 3.0
     max_evidence: Positive = 3.0
     smoothing: Positive = 1.25e-3
-    end_contrast: Positive = 6.0
-    min_end_contrast: Positive = 4.0
-    end_length: Positive = 4e-3
+    bevel_length: NotNegative = 4e-3
     beam_width: float | None = None
 
     def __post_init__(self) -> None:
@@ -203,29 +213,23 @@ def most_evident_stretch(
 
 
 def find_extent(
-    profile: AxisProfile, parameters: TipParameters, expected: float = -np.inf
+    profile: AxisProfile, parameters: TipParameters, expected: tuple[float, float] | None = None
 ) -> NeedleExtent | NotFound:
     """Find the ends of a needle along its axis (Chatelain 2013, end of section II-D).
 
-    The needle is the `most_evident_stretch`. It bridges gaps, as a needle fades unless a scan line
-    meets it at a right angle.
-
-    The tip follows from the point at which the needle's blurred end is lost in the background, D dB
-    below the end's own level. A mirror-like edge blurred by a Gaussian beam of standard deviation
-    sigma has the amplitude Phi(-x / sigma) at x beyond the tip, and a rough one the intensity
-    Phi(-sqrt(2) x / sigma), so x follows from D. The drop to half the
-    amplitude (6 dB), which lies at the tip itself, is less reliable: the needle's speckle and the
-    flank of its mirror-like echo have drops of their own.
+    The needle begins where the `most_evident_stretch` does. Its tip is a change point: up to there
+    the contrast follows the needle's level so far, which may fade, then a blurred end follows, and
+    beyond it there is nothing. Where a needle has faded before, neither is more probable.
 
     Parameters
     ----------
     profile
         Profile of the intensity along the axis.
     parameters
-        Thresholds.
+        What is known of the beam and the tip.
     expected
-        Abscissa at which the tip is expected, in m. A needle that stands out less far may go on
-        faintly; see `faint_part`.
+        Abscissa at which the tip is expected and its standard deviation, in m. None for a new
+        needle.
 
     Returns
     -------
@@ -244,89 +248,146 @@ def find_extent(
     )
     if last < 0:
         return NotFound(SearchReason.NOTHING_ALONG(" the axis stands out from the background"))
-    tip, end_std, hidden, hidden_std = _tip(profile, contrast, (first, last), parameters)
-    width = _width_at(profile, tip, parameters)
-    faint, continues = faint_part(profile.a, contrast, profile.seen, tip, expected, width)
-    if faint > 0:
-        end_std, hidden, hidden_std = FAINT_STD, 0.0, 0.0
-    tip += faint + hidden
+    width = profile.beam_width
+    if width is None:
+        width = np.full(len(contrast), parameters.beam_width or _TYPICAL_WIDTH)
+    share = step / np.maximum(width, parameters.smoothing)
+    logs, beyond, mirror = _end_logs(
+        contrast, profile.seen, share, width / FWHM_PER_SIGMA, step, first
+    )
+    tip, std, seen = _tip(profile.a, first, logs, beyond, mirror, parameters.bevel_length, expected)
     # Outside the tissue nothing scatters, so a needle that enters it in view comes from nowhere.
-    around = uniform_filter1d(profile.background, round(parameters.end_length / step))
+    around = uniform_filter1d(profile.background, round(_TREND / step))
     empty = around < np.median(around[first : last + 1]) - _EMPTY
     unseen = np.flatnonzero(~profile.seen[:first] | empty[:first])
-    beyond = np.searchsorted(profile.a, max(profile.a[last], tip) + parameters.smoothing)
+    after = np.searchsorted(profile.a, max(profile.a[last], tip) + parameters.smoothing)
     return NeedleExtent(
         start=float(profile.a[first]),
+        end=float(profile.a[last]),
         tip=tip,
+        tip_std=std,
+        seen=seen,
         entered=float(profile.a[unseen[-1]]) if len(unseen) else -np.inf,
-        leaves=bool(beyond >= len(profile.a) or not profile.seen[beyond]),
+        leaves=bool(after >= len(profile.a) or not profile.seen[after]),
         evidence=evidence,
-        tip_std=float(np.hypot(end_std, hidden_std)),
-        end_std=end_std,
-        faint=faint,
-        continues=continues,
     )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _mixture(contrast: float, mean: float, std: float, rare: float) -> float:  # pragma: no cover
+    """Return the logarithm of a density in 1/dB with heavy tails."""
+    usual = (1 - _RARE) * math.exp(-0.5 * ((contrast - mean) / std) ** 2) / std
+    return math.log(usual + _RARE * math.exp(-0.5 * ((contrast - mean) / rare) ** 2) / rare)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _end_logs(  # pragma: no cover - compiled
+    contrast: Any, seen: Any, share: Any, sigma: Any, step: float, first: int
+) -> Any:
+    """Return the log likelihoods of a needle that ends at each sample, or at none of them.
+
+    Parameters
+    ----------
+    contrast, seen
+        (m,) levels above the background in dB, and flags of the samples in the field of view.
+    share
+        (m,) evidence of a sample, as beam widths.
+    sigma
+        (m,) standard deviations of the blurred end, in m.
+    step
+        Distance between samples, in m.
+    first
+        Number of the needle's first sample.
+
+    Returns
+    -------
+    (m,) log likelihoods, that of a needle which goes on beyond all samples, and (m,) shares to
+    which each end mirrors sound.
+    """
+    m = len(contrast)
+    needle, nothing = np.zeros(m + 1), np.zeros(m + 1)
+    logs, mirror = np.full(m, -np.inf), np.zeros(m)
+    length, gap = int(_TREND / step), int(_BEFORE / step)
+    for b in range(first, m):
+        needle[b + 1], nothing[b + 1] = needle[b], nothing[b]
+        if seen[b]:
+            total, count = 0.0, 0
+            end = max(b - gap, first + gap)
+            for e in range(max(end - length, first), min(end, m)):
+                if seen[e]:
+                    total += contrast[e]
+                    count += 1
+            level = max(total / max(count, 1), 0.0)
+            # What speckle alone would add to the mean is taken off, as in Wiener's filter.
+            level = level**3 / (level**2 + 1.5)
+            std = _NOTHING + _SPREAD * min(level, 16.0)
+            needle[b + 1] += share[b] * _mixture(contrast[b], level, std, _RARE_SPREAD * std)
+            nothing[b + 1] += share[b] * _mixture(contrast[b], 0.0, _NOTHING, _RARE_STD)
+    for t in range(first + 2 * gap, m):
+        top, count = 0.0, 0
+        for e in range(max(t - 4 * gap, first), max(t - gap, first + 1)):
+            top += contrast[e]
+            count += 1
+        top /= count
+        mirror[t] = min(max((top - _MIRROR[0]) / (_MIRROR[1] - _MIRROR[0]), 0.0), 1.0)
+        begin, end = t - int(sigma[t] / step), min(t + int(3 * sigma[t] / step), m - 1)
+        begin = max(begin, first)
+        log = needle[begin] + nothing[m] - nothing[end + 1]
+        std = _NOTHING + 0.12 * max(top, 0.0)
+        for b in range(begin, end + 1):
+            if seen[b]:
+                # Of points in phase the amplitudes add up, of others the intensities.
+                x = (b - t) * step / sigma[t]
+                amplitude = math.log(max(0.5 * math.erfc(x / math.sqrt(2)), 1e-9))
+                intensity = 0.5 * math.log(max(0.5 * math.erfc(x), 1e-9))
+                drop = mirror[t] * amplitude + (1 - mirror[t]) * intensity
+                left = 10 * math.log10(1 + 10 ** (top / 10) * math.exp(2 * drop))
+                log += share[b] * _mixture(contrast[b], left, std, _RARE_SPREAD * std)
+        logs[t] = log
+    return logs, needle[m], mirror
 
 
 def _tip(
-    profile: AxisProfile,
-    contrast: NDArray[np.float64],
-    needle: tuple[int, int],
-    parameters: TipParameters,
-) -> tuple[float, float, float, float]:
-    """Return the abscissa of the end, its standard deviation, and `hidden_length`, in m.
+    a: NDArray[np.float64],
+    first: int,
+    logs: NDArray[np.float64],
+    beyond: float,
+    mirror: NDArray[np.float64],
+    bevel_length: float,
+    expected: tuple[float, float] | None,
+) -> tuple[float, float, float]:
+    """Return abscissa and standard deviation of the tip in m, and the probability that it is seen.
 
-    A needle that stands out far and ends abruptly ends where it seems to. One that is faint or
-    fades may continue unseen. The ``needle`` is that between two indices if nothing stands out as
-    an end must.
+    It is seen if it lies near the end that the contrasts alone make most probable. If that is not
+    probable, the deviation is that of all places where it may be.
     """
-    a, step = profile.a, parameters.step
+    step, top = float(a[1] - a[0]), max(float(logs.max()), beyond)
+    farther = (a - a[first]) / _REACH
+    weights = np.exp(logs - top - farther) * (step / _REACH)
+    rest, rest_at = math.exp(beyond - top - farther[-1]), float(a[-1]) + _REACH
+    # A rough end may be that of the shaft or of the bevel; a mirror's is that of the bevel.
+    hidden = 0.5 * bevel_length * (1 - mirror)
+    tips = a + hidden
 
-    def stretch(contrast: NDArray[np.float64], seen: NDArray[np.bool_], neutral: float) -> Any:
-        return most_evident_stretch(
-            contrast, seen, step=step, neutral=neutral, max_evidence=neutral
-        )
+    near = round(_NEAR / step)
 
-    from_start = profile.seen & (np.arange(len(a)) >= needle[0])
-    first, last, _ = stretch(contrast, from_start, parameters.min_end_contrast)
-    first, last = (first, last) if last >= first else needle
-    near = contrast[max(first, last - round(2 * parameters.end_length / step)) : last + 1]
-    threshold = float(
-        np.clip(np.median(near) / 2, parameters.min_end_contrast, parameters.end_contrast)
-    )
-    inside = contrast[first : last + 1]
-    bright = stretch(inside, np.ones_like(inside, dtype=bool), threshold)[1]
-    end = first + bright if bright >= 0 else last
-    begin = max(first, int(np.searchsorted(a, a[end] - parameters.end_length)))
-    top = float(contrast[begin : end + 1].max())
-    lost = float(a[end])
-    if end + 1 < len(a) and contrast[end + 1] < threshold < contrast[end]:
-        lost = float(np.interp(threshold, contrast[[end + 1, end]], a[[end + 1, end]]))
-    sigma = _width_at(profile, lost, parameters) / FWHM_PER_SIGMA
-    blurred = contrast[int(np.searchsorted(a, lost - 2 * sigma)) : end + 1]
-    drop = float(blurred.max(initial=threshold)) - threshold
-    doubt = _FADED * max(1 - drop / _ABRUPT_DROP, 0) + _FAINT * max(1 - top / _CLEAR_CONTRAST, 0)
-    tip = lost - sigma * _blurred_length(top, max(top - threshold, 0.1))
-    faint = inside[: end + 1 - first] < min(parameters.min_end_contrast, float(np.median(inside)))
-    hidden, hidden_std = hidden_length(faint, step)
-    return tip, _END_SHARE * sigma * float(np.exp(doubt)), hidden, hidden_std
+    def most_probable(weights: NDArray[np.float64]) -> slice:
+        middle = int(np.convolve(weights, np.ones(2 * near + 1), "same").argmax())
+        return slice(max(middle - near, 0), middle + near + 1)
 
-
-def _width_at(profile: AxisProfile, a: float, parameters: TipParameters) -> float:
-    """Return the width of the beam along the needle at an abscissa, in m."""
-    if profile.beam_width is None:
-        return parameters.beam_width or _TYPICAL_WIDTH
-    return float(np.interp(a, profile.a, profile.beam_width))
-
-
-def _blurred_length(top: float, fallen: float) -> float:
-    """Return the distance from an end to where it has fallen by some dB, relative to the blur.
-
-    The amplitudes of a mirror-like end add up, and the intensities of a rough one, whose points
-    have random phases. Mirror-like ends are much the brighter, so the contrast ``top`` in dB tells
-    which is which.
-    """
-    amplitude = -float(ndtri(10 ** (-fallen / 20)))
-    intensity = -float(ndtri(min(10 ** (-fallen / 10), 0.5))) / np.sqrt(2)
-    share = float(np.clip((top - _ROUGH_CONTRAST) / (_MIRROR_CONTRAST - _ROUGH_CONTRAST), 0, 1))
-    return share * amplitude + (1 - share) * intensity
+    end = most_probable(weights)
+    agreeing, disagreeing = weights, rest
+    if expected is not None:
+        at, std = expected[0], math.hypot(expected[1], 0.5 * bevel_length)
+        density = np.exp(-0.5 * ((tips - at) / std) ** 2) / (math.sqrt(2 * math.pi) * std)
+        agreeing = weights * (1 - _AGREES + _AGREES * density * _REACH * np.exp(farther))
+        disagreeing = rest * (1 - _AGREES)
+    here = most_probable(agreeing)
+    mean = float(agreeing[here] @ tips[here] / agreeing[here].sum())
+    seen = float(agreeing[end].sum() / (agreeing.sum() + disagreeing))
+    spread = weights * ((tips - mean) ** 2 + hidden**2 / 3 + step**2)
+    if seen >= TIP_IS_SEEN:
+        return mean, math.sqrt(spread[end].sum() / weights[end].sum()), seen
+    # What was expected is no evidence, so the deviation is that of the contrasts alone.
+    far = rest * ((rest_at - mean) ** 2 + _REACH**2)
+    return mean, math.sqrt((spread.sum() + far) / (weights.sum() + rest)), seen

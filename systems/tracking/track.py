@@ -40,8 +40,6 @@ class Track(Immutable):
         by itself.
     innovation
         Mahalanobis distance of the last measurement from its prediction; None if none was gated.
-    tip_seen
-        Time at which the tip was last seen, in s.
     probability
         Probability that what is followed is a needle.
     reason
@@ -58,7 +56,6 @@ class Track(Immutable):
     rejected: NeedleMeasurement | None = None
     entry: NDArray[np.float64] | None = None
     innovation: float | None = None
-    tip_seen: float = -np.inf
     probability: float = 0.0
     reason: str = ""
 

@@ -118,7 +118,6 @@ class TrackLifecycle:
                 state.covariance[:points, :points],
                 entry=track.entry,
                 missed=track.missed,
-                tip_unseen=max(time - track.tip_seen, 0.0),
             )
         found = self.most_probable(track, lines)
         if isinstance(found, NotFound):
@@ -220,12 +219,11 @@ class TrackLifecycle:
     ) -> Track:
         """Return a track that a measurement confirms, which continues an earlier one or begins."""
         track = self.confirm(state, measurement.time, innovation)
-        entry, seen = (before.entry, before.tip_seen) if before else (None, -np.inf)
+        entry = before.entry if before else None
         return replace(
             track,
             probability=probability,
             entry=state.curve.entry if entry is None else entry,
-            tip_seen=measurement.time if measurement.tip_seen else seen,
         )
 
     def _miss(

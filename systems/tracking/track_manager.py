@@ -129,7 +129,7 @@ class TrackManager(LeafSystem):
         """Start to track a needle found by other means, as if the last volume had shown it."""
         state = self._lifecycle.needle_filter.start(measurement)
         track = self._lifecycle.confirm(state, measurement.time)
-        track = replace(track, volume_time=measurement.time, tip_seen=measurement.time)
+        track = replace(track, volume_time=measurement.time)
         track = replace(track, entry=state.curve.entry)
         context.SetAbstractState(int(self._track), track)
 

@@ -8,7 +8,13 @@ import numpy as np
 from numba import njit, prange
 
 from sonoservo.systems.sampling.kernels import OPTIONS
-from sonoservo.systems.ultrasound.resampling import frame_of, interpolate, line_of, project
+from sonoservo.systems.ultrasound.resampling import (
+    frame_of,
+    interpolate,
+    line_of,
+    project,
+    sweeps,
+)
 
 POSES_PER_FRAME = 16
 """Number of poses tabulated from one frame to the next; at 20 mm/s they are 0.01 mm apart."""
@@ -50,12 +56,13 @@ def tabulate_shifts(shifts, sector, x, y, z, poses):  # type: ignore[no-untyped-
 
 @njit(parallel=True, **OPTIONS)
 def resample_moving(  # type: ignore[no-untyped-def]
-    volume, rows, packed, beyond, corners, sector, x, distance, step, shifts, nodes, row
+    volume, seen, rows, packed, beyond, corners, sector, x, distance, step, shifts, nodes, row
 ):
     """Fill the part of a volume that the sweep of a moving probe covers; see `resample`.
 
-    ``shifts`` has a node at every `NODE_STRIDE`-th element; nodes and row are float32 memory for
-    those along a row, (nx, 3, mz) and (nx, 3, mz `NODE_STRIDE`).
+    ``seen``, uint8 zeros, is set to 1 there. ``shifts`` has a node at every `NODE_STRIDE`-th
+    element; nodes and row are float32 memory for those along a row, (nx, 3, mz) and
+    (nx, 3, mz `NODE_STRIDE`).
     """
     share = _ONE / np.float32(NODE_STRIDE)
     for a in prange(volume.shape[0]):
@@ -88,6 +95,13 @@ def resample_moving(  # type: ignore[no-untyped-def]
                         line + row[a, 1, n],
                         r + row[a, 2, n],
                     )
+                # In a loop of its own, which the compiler can vectorise.
+                for n in range(np.uint64(first), np.uint64(end)):
+                    line, r = line_of(x[a], distance[b, n], sector)
+                    swept = sweeps(
+                        sector, step[b, n] + row[a, 0, n], line + row[a, 1, n], r + row[a, 2, n]
+                    )
+                    seen[a, b, n] = np.uint8(1) if swept else np.uint8(0)
 
 
 @njit(**OPTIONS)

@@ -194,17 +194,24 @@ def frame_of(step, line, sector):  # type: ignore[no-untyped-def]
 
 
 @njit(**OPTIONS)
-def interpolate(packed, beyond, corners, sector, step, line, r):  # type: ignore[no-untyped-def]
-    """Return the rounded grey level at a place; zero unless both motor directions sweep it."""
+def sweeps(sector, step, line, r):  # type: ignore[no-untyped-def]
+    """Return True if both motor directions sweep a place."""
     i = (r - sector.array_radius) * sector.samples_per_metre
-    j = line + _HALF * sector.last_line
-    k = frame_of(step, line, sector)
-    inside = (
+    return (
         (i >= _ZERO)
         & (i <= sector.last_sample)
         & (abs(line) <= _HALF * sector.last_line)
         & (abs(step) + abs(line) <= _HALF * sector.lines * sector.last_frame)
     )
+
+
+@njit(**OPTIONS)
+def interpolate(packed, beyond, corners, sector, step, line, r):  # type: ignore[no-untyped-def]
+    """Return the rounded grey level at a place; zero unless both motor directions sweep it."""
+    i = (r - sector.array_radius) * sector.samples_per_metre
+    j = line + _HALF * sector.last_line
+    k = frame_of(step, line, sector)
+    inside = sweeps(sector, step, line, r)
     i0 = min(max(np.int32(i), corners.first_sample), corners.last_sample)
     j0 = min(max(np.int32(j), corners.first_line), corners.last_line)
     k0 = min(max(np.int32(k), corners.first_frame), corners.last_frame)

@@ -227,18 +227,16 @@ class ScanConversion:
         nodes_row = np.empty((len(self._axes[0]), 3, len(nodes[2])), np.float32)
         row = np.empty((len(self._axes[0]), 3, NODE_STRIDE * len(nodes[2])), np.float32)
 
-        def looked_up(levels: NDArray[np.uint8]) -> NDArray[np.uint8]:
-            volume = np.zeros(self.grid.shape, np.uint8)
-            corners = pack_corners(levels, (0, 0, 0), tuple(n - 2 for n in geometry.shape))
-            resample_moving(
-                volume, rows, *corners, sector, self._axes[0], self._distance, self._step, shifts,
-                nodes_row, row,
-            )  # fmt: skip
-            return volume
-
-        if margin.max() < 0.5 * self.grid.spacing.min():
-            return looked_up(samples), None
-        return looked_up(samples), seal(looked_up(np.full_like(samples, 255)) > 0)
+        volume = np.zeros(self.grid.shape, np.uint8)
+        seen = np.zeros(self.grid.shape, np.uint8)
+        corners = pack_corners(samples, (0, 0, 0), tuple(n - 2 for n in geometry.shape))
+        resample_moving(
+            volume, seen, rows, *corners, sector, self._axes[0], self._distance, self._step, shifts,
+            nodes_row, row,
+        )  # fmt: skip
+        return volume, None if margin.max() < 0.5 * self.grid.spacing.min() else seal(
+            seen.view(np.bool_)
+        )
 
     def _cells(
         self, x: NDArray[np.float64], q: NDArray[np.float64], step: NDArray[np.float64]

@@ -32,5 +32,6 @@ def test_outputs_are_kept_without_warnings_and_without_pages_of_one_machine(scri
     assert outputs, "run `make notebooks`"
     for output in outputs:
         assert output.get("name") != "stderr", output.get("text")
+        assert "warning" not in str(output.get("data", {}) | {"image/png": ""}).lower()
         assert "application/vnd.jupyter.widget-view+json" not in output.get("data", {})
         assert "localhost" not in str(output)

@@ -9,16 +9,12 @@ import typer
 
 from sonoservo.diagrams.app.commands.studies import opened
 from sonoservo.diagrams.app.options import (
-    CaseLimitOption,
-    ClusterOption,
-    JobsOption,
-    JsonOption,
-    OutOption,
+    Results,
+    Workers,
     console,
     say_report,
     write_printed,
 )
-from sonoservo.diagrams.studies.cluster.opening import CASE_LIMIT_S
 from sonoservo.systems.files.refusals import ConfigurationError
 
 MAKE = "make"
@@ -26,6 +22,8 @@ MAKE = "make"
 
 
 def benchmark_command(
+    workers: Workers,
+    results: Results,
     trackers: Annotated[
         list[str] | None,
         typer.Argument(
@@ -52,11 +50,6 @@ def benchmark_command(
     store: Annotated[
         str | None, typer.Option(help="make: folder or fsspec URL that a cluster writes to.")
     ] = None,
-    out: OutOption = None,
-    jobs: JobsOption = -1,
-    cluster: ClusterOption = None,
-    case_limit: CaseLimitOption = CASE_LIMIT_S,
-    json_path: JsonOption = None,
 ) -> None:
     """Score needle trackers on suites of simulated volumes, or make the volumes.
 
@@ -72,15 +65,15 @@ def benchmark_command(
         raise ConfigurationError("make: it takes no trackers; score them in a second command")
     if not makes and (formats or store):
         raise ConfigurationError("--format, --store: only for `sonoservo benchmark make`")
-    folder = out or Path("out") / ("benchmark_volumes" if makes else "benchmark")
-    with opened(cluster, case_limit) as executor:
+    folder = results.out or Path("out") / ("benchmark_volumes" if makes else "benchmark")
+    with opened(workers) as executor:
         options = BenchmarkOptions(
             folder=folder,
             suites=suites or (),
             quick=quick,
             salt=salt,
             sequences=sequences,
-            jobs=jobs,
+            jobs=workers.jobs,
             cluster=executor,
             console=console,
         )
@@ -92,13 +85,13 @@ def benchmark_command(
                 f"{folder}/README.md",
                 soft_wrap=True,
             )
-            write_printed(json_path, [dict(each.result) for each in outcomes if each])
+            write_printed(results.json_path, [dict(each.result) for each in outcomes if each])
         else:
             result = run_benchmark(names, options)
             write_benchmark(result, folder, shlex.join(["sonoservo", *sys.argv[1:]]))
             console.print(benchmark_table(result.data).terminal())
             say_report(folder)
-            write_printed(json_path, result.data)
+            write_printed(results.json_path, result.data)
             failed = result.failed
     for each in failed:
         console.print(f"{each.case.experiment}, seed {each.case.seed}: {each.error}")

@@ -7,10 +7,9 @@ from typing import Annotated
 import typer
 
 from sonoservo.diagrams.app.options import (
-    HostOption,
-    JsonOption,
-    OpenOption,
-    OutOption,
+    Page,
+    Printed,
+    Results,
     console,
     free_folder,
     say_report,
@@ -20,8 +19,7 @@ from sonoservo.diagrams.app.options import (
 
 def replay_command(
     folder: Annotated[Path, typer.Argument(help="Folder of a run.")],
-    host: HostOption = "localhost",
-    open_page: OpenOption = True,
+    page: Page,
     once: Annotated[bool, typer.Option("--once", help="End at the end of the run.")] = False,
 ) -> None:
     """Replay a kept run in the console: world, slices, strips and state, at any time and speed."""
@@ -29,7 +27,7 @@ def replay_command(
     from sonoservo.diagrams.app.pages.pages import open_pages
 
     replay = read_replay(folder)
-    pages = open_pages(console, replay.title, host=host, by_itself=open_page, kept=folder)
+    pages = open_pages(console, replay.title, host=page.host, by_itself=page.open_page, kept=folder)
     if not (folder / "replay.html").is_file():
         console.print("There is no replay.html: run with a page or with --replay for the world.")
     console.print("The slider `time` turns the run back and forth; Ctrl-C ends the replay.")
@@ -39,28 +37,27 @@ def replay_command(
 
 def compare_command(
     folders: Annotated[list[Path], typer.Argument(help="Folders of two or more runs.")],
-    out: OutOption = None,
-    json_path: JsonOption = None,
+    results: Results,
 ) -> None:
     """Compare kept runs: what was changed between them, figures side by side, curves overlaid."""
     from sonoservo.diagrams.app.kept_runs.compare import compare
 
-    folder = out or free_folder("comparison")
+    folder = results.out or free_folder("comparison")
     comparison = compare(folders, folder)
     console.print(comparison.table())
     say_report(folder)
-    write_printed(json_path, comparison.as_json())
+    write_printed(results.json_path, comparison.as_json())
 
 
 def explain_command(
     folder: Annotated[Path, typer.Argument(help="Folder of a run made with --explain.")],
+    printed: Printed,
     time: Annotated[
         float | None, typer.Option(help="Draw the kept volume nearest to this time, in s.")
     ] = None,
     out: Annotated[
         Path | None, typer.Option(help="Picture, FILE.png; by default in the run's folder.")
     ] = None,
-    json_path: JsonOption = None,
 ) -> None:
     """Show why an estimate was wrong: what the tracker looked at, beside the truth.
 
@@ -76,11 +73,11 @@ def explain_command(
         rows = explained_run.rows()
         console.print(explanation_table(rows))
         console.print(f"Draw one of them: sonoservo explain {folder} --time T", soft_wrap=True)
-        write_printed(json_path, rows)
+        write_printed(printed.json_path, rows)
         return
     explained = explained_run.nearest(time)
     path = out or folder / f"explanation_{float(explained.volume_time):.2f}s.png"
     write_atomically(path, png(explained_run.sheet(explained)))
     console.print(describe(explained, explained_run.tip_error(explained)), soft_wrap=True)
     console.print(f"Drawn: {path}", soft_wrap=True)
-    write_printed(json_path, explained_run.row(explained))
+    write_printed(printed.json_path, explained_run.row(explained))

@@ -8,7 +8,7 @@ import typer
 
 from sonoservo.diagrams.app.options import (
     ChangesOption,
-    JsonOption,
+    Printed,
     ScenarioArgument,
     console,
     say,
@@ -17,7 +17,7 @@ from sonoservo.diagrams.app.options import (
 from sonoservo.systems.files.refusals import ConfigurationError
 
 
-def list_command(json_path: JsonOption = None) -> None:
+def list_command(printed: Printed) -> None:
     """List the built-in scenarios, and the dials that make a scenario harder."""
     from sonoservo.diagrams.dials import load_dials
     from sonoservo.diagrams.experiments.registry import describe_scenarios
@@ -31,7 +31,7 @@ def list_command(json_path: JsonOption = None) -> None:
         changes = " ".join(f"--set {shlex.quote(each)}" for each in dial.changes())
         say(f"{changes}\n    {name}: {dial.line}")
     write_printed(
-        json_path,
+        printed.json_path,
         {
             "scenarios": scenarios,
             "dials": {

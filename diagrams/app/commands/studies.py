@@ -10,20 +10,17 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from sonoservo.diagrams.app.options import (
-    CaseLimitOption,
     ChangesOption,
-    ClusterOption,
-    JobsOption,
-    JsonOption,
-    OutOption,
+    Printed,
+    Results,
     ScenarioArgument,
+    Workers,
     console,
     say_report,
     write_printed,
 )
 from sonoservo.diagrams.papers.registry import ALL, STUDIES, reproduce, require_paper
 from sonoservo.diagrams.published import PAPERS
-from sonoservo.diagrams.studies.cluster.opening import CASE_LIMIT_S
 from sonoservo.diagrams.studies.progress import Heartbeat
 from sonoservo.systems.files.refusals import ConfigurationError
 
@@ -33,14 +30,14 @@ if TYPE_CHECKING:
 
 
 @contextmanager
-def opened(cluster: str | None, case_limit: float) -> Iterator["Executor | None"]:
+def opened(workers: Workers) -> Iterator["Executor | None"]:
     """Open the cluster that the user named, if any."""
     from sonoservo.diagrams.studies.cluster.opening import open_cluster
 
-    if cluster is None:
+    if workers.cluster is None:
         yield None
         return
-    with open_cluster(cluster, limit=case_limit, notify=console.print) as executor:
+    with open_cluster(workers.cluster, limit=workers.case_limit, notify=console.print) as executor:
         yield executor
 
 
@@ -48,6 +45,8 @@ def dataset_command(
     scenario: ScenarioArgument,
     count: Annotated[int, typer.Option(help="Number of sequences.")],
     out: Annotated[Path, typer.Option(help="Folder for the sequences and manifest.json.")],
+    workers: Workers,
+    printed: Printed,
     volumes: Annotated[int, typer.Option(help="Number of volumes in each sequence.")] = 10,
     transducers: Annotated[
         list[str] | None, typer.Option("--probe", help="Probe to draw from; repeatable.")
@@ -68,10 +67,6 @@ def dataset_command(
         str | None,
         typer.Option(help="Folder or fsspec URL for the sequences; by default, the one of --out."),
     ] = None,
-    jobs: JobsOption = -1,
-    cluster: ClusterOption = None,
-    case_limit: CaseLimitOption = CASE_LIMIT_S,
-    json_path: JsonOption = None,
 ) -> None:
     """Make labelled sequences of needles, tissues and probes drawn at random.
 
@@ -82,9 +77,9 @@ def dataset_command(
 
     loaded = load_scenario(scenario, changes=changes, seed=seed)
     if layout == "lerobot":
-        _make_episodes(loaded, out, count, jobs, cluster, case_limit, json_path)
+        _make_episodes(loaded, out, count, workers, printed.json_path)
         return
-    with opened(cluster, case_limit) as executor:
+    with opened(workers) as executor:
         manifest = make_dataset(
             loaded,
             out,
@@ -94,7 +89,7 @@ def dataset_command(
             randomize=randomize,
             layout=layout,
             store=store,
-            jobs=jobs,
+            jobs=workers.jobs,
             cluster=executor,
             console=console,
         )
@@ -103,7 +98,7 @@ def dataset_command(
         f"{store or out}/manifest.json",
         soft_wrap=True,
     )
-    write_printed(json_path, manifest)
+    write_printed(printed.json_path, manifest)
     if manifest["failed"]:
         raise typer.Exit(1)
 
@@ -112,17 +107,15 @@ def _make_episodes(
     scenario: "Scenario",
     out: Path,
     count: int,
-    jobs: int,
-    cluster: str | None,
-    case_limit: float,
+    workers: Workers,
     json_path: Path | None,
 ) -> None:
     """Write runs of a scenario as episodes of LeRobot."""
     from sonoservo.diagrams.studies.datasets.lerobot_episodes import make_episodes
 
-    with opened(cluster, case_limit) as executor:
+    with opened(workers) as executor:
         info = make_episodes(
-            scenario, out, count=count, jobs=jobs, cluster=executor, console=console
+            scenario, out, count=count, jobs=workers.jobs, cluster=executor, console=console
         )
     console.print(f"{info['total_episodes']} episodes: {out}/meta/info.json", soft_wrap=True)
     write_printed(json_path, info)
@@ -138,6 +131,8 @@ def reproduce_command(
             f"paper: {', '.join(STUDIES)}."
         ),
     ],
+    workers: Workers,
+    results: Results,
     quick: Annotated[
         bool, typer.Option("--quick", help="Make a few short runs only (minutes).")
     ] = False,
@@ -148,11 +143,6 @@ def reproduce_command(
     keep: Annotated[
         bool, typer.Option("--keep", help="Keep the results in the repository, with its tables.")
     ] = False,
-    out: OutOption = None,
-    jobs: JobsOption = -1,
-    cluster: ClusterOption = None,
-    case_limit: CaseLimitOption = CASE_LIMIT_S,
-    json_path: JsonOption = None,
 ) -> None:
     """Repeat a paper's experiments over many seeds, and compare with its figures and the truth.
 
@@ -170,25 +160,25 @@ def reproduce_command(
         from sonoservo.diagrams.papers.results import keep_results
         from sonoservo.diagrams.studies.study import StudyOptions
         from sonoservo.diagrams.studies.study_report import write_studies, write_study
-    folder = out or Path("out") / f"{paper}{'_quick' if quick else ''}"
+    folder = results.out or Path("out") / f"{paper}{'_quick' if quick else ''}"
     command = ["sonoservo", "reproduce", paper, *(["--quick"] if quick else [])]
     command += [] if seeds is None else ["--seeds", str(seeds)]
     command += ["--first-seed", str(first_seed)] if first_seed else []
-    command += [] if out is None else ["--out", str(out)]
+    command += [] if results.out is None else ["--out", str(results.out)]
     try:
         options = StudyOptions(
             folder=folder,
             quick=quick,
             seeds=seeds,
             first_seed=first_seed,
-            jobs=jobs,
+            jobs=workers.jobs,
             console=console,
         )
     except ValueError as error:
         raise ConfigurationError(str(error)) from error
     studies = []
     try:
-        with opened(cluster, case_limit) as executor:
+        with opened(workers) as executor:
             for each in papers:
                 into = folder / each if paper == ALL else folder
                 with Heartbeat(console, f"Reproducing {each}"):
@@ -205,4 +195,4 @@ def reproduce_command(
     say_report(folder)
     if keep:
         keep_results(studies, shlex.join(command))
-    write_printed(json_path, data)
+    write_printed(results.json_path, data)

@@ -14,12 +14,12 @@ from sonoservo.diagrams.studies.following.cases import AS_PUBLISHED
 from sonoservo.diagrams.studies.following.method_report import (
     Comparison,
     MethodRuns,
-    Value,
     add_error_rows,
     add_false_start_rows,
     add_reliability_rows,
     add_rest_rows,
 )
+from sonoservo.diagrams.studies.run_group import Value
 from sonoservo.diagrams.studies.study import Outcome
 from sonoservo.diagrams.studies.study_report import Study
 from sonoservo.systems.evaluation.intervals import run_interval

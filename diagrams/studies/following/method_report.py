@@ -1,8 +1,6 @@
 """Figures of the runs of one method, with their intervals, and rows that compare two methods."""
 
 from collections.abc import Callable, Sequence
-from copy import copy
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -12,35 +10,16 @@ from numpy.typing import NDArray
 
 from sonoservo.diagrams.studies.following.analysis import Run, Volumes, pooled_runs
 from sonoservo.diagrams.studies.following.cases import AS_PUBLISHED
+from sonoservo.diagrams.studies.run_group import RunGroup, Value, pooled, quantile_of
 from sonoservo.diagrams.studies.study import Outcome
 from sonoservo.diagrams.studies.study_report import StudyRow, can_be_judged
-from sonoservo.systems.evaluation.intervals import (
-    count_interval,
-    mean_interval,
-    proportion_interval,
-    run_interval,
-)
 
 Floats = NDArray[np.float64]
 
 _MM, _DEG = 1e3, float(np.rad2deg(1))
 
 
-@dataclass(frozen=True)
-class Value:
-    """A figure of one method: true, estimated, and the 95 % interval; None if there is none.
-
-    A share in % also has its number of runs.
-    """
-
-    true: float | None = None
-    estimated: float | None = None
-    low: float | None = None
-    high: float | None = None
-    share_of: int | None = None
-
-
-class MethodRuns:
+class MethodRuns(RunGroup[Run]):
     """Runs of one experiment with one method.
 
     `outcomes`: outcomes of all experiments; `name`: name of the experiment; `logs`: folder of the
@@ -49,9 +28,7 @@ class MethodRuns:
 
     def __init__(self, outcomes: Sequence[Outcome], name: str, logs: Path | None = None) -> None:
         mine = [each for each in outcomes if each.case.experiment == name]
-        self.runs = [Run(each, logs) for each in mine if each]
-        self.failed = len(mine) - len(self.runs)
-        self.total = len(mine)
+        super().__init__([Run(each, logs) for each in mine if each], len(mine))
 
     def error(self, name: str, q: float, factor: float) -> Value:
         """Return a quantile over all volumes of one of the `Volumes`' errors, times a factor."""
@@ -59,77 +36,8 @@ class MethodRuns:
 
     def quantile(self, values: Callable[[Volumes], Floats], q: float) -> Value:
         """Return a quantile over the volumes of all runs; failed runs count as infinite errors."""
-
-        def figure(values: Floats) -> float:
-            return float(np.quantile(values, q, method="inverted_cdf"))
-
         runs = pooled_runs(self.runs, self.failed, values)
-        runs = [each for each in runs if len(each)]
-        if not runs:
-            return Value()
-        low, high = run_interval(runs, figure)
-        return Value(figure(np.concatenate(runs)), low=low, high=high)
-
-    def mean(
-        self,
-        true: Callable[[Run], float | None],
-        estimated: Callable[[Run], float | None] | None = None,
-    ) -> Value:
-        """Return the mean over runs; a failed run has the worst value of the others."""
-        values = self._with_failed(true)
-        if len(values) == 0:
-            return Value()
-        low, high = mean_interval(values)
-        known = self._with_failed(estimated) if estimated else np.zeros(0)
-        mean = float(np.mean(known)) if len(known) else None
-        return Value(float(np.mean(values)), mean, low, high)
-
-    def median(
-        self, true: Callable[[Run], float | None], estimated: Callable[[Run], float | None]
-    ) -> Value:
-        """Return the median over runs; a failed run has the worst value of the others."""
-        values = self._with_failed(true)
-        if len(values) == 0:
-            return Value()
-        low, high = run_interval(list(values[:, np.newaxis]), _median)
-        return Value(_median(values), _median(self._with_failed(estimated)), low, high)
-
-    def those(self, good: Callable[[Run], bool]) -> "MethodRuns":
-        """Return the finished runs for which something holds."""
-        chosen = copy(self)
-        chosen.runs = [run for run in self.runs if good(run)]
-        chosen.failed, chosen.total = 0, len(chosen.runs)
-        return chosen
-
-    def largest(self, true: Callable[[Run], float | None]) -> Value:
-        """Return the largest value of all runs; infinite if one is unknown or a run failed."""
-        values = [true(run) for run in self.runs]
-        if not self.total:
-            return Value()
-        known = [np.inf if value is None else value for value in values]
-        return Value(max([*known, *self.failed * [np.inf]]))
-
-    def share(self, good: Callable[[Run], bool]) -> Value:
-        """Return the share of runs for which something holds, in %; for failed ones it does not."""
-        if not self.total:
-            return Value()
-        number = sum(bool(good(run)) for run in self.runs)
-        low, high = proportion_interval(number, self.total)
-        return Value(100 * number / self.total, None, 100 * low, 100 * high, self.total)
-
-    def count(self, number: Callable[[Run], int]) -> Value:
-        """Return the number of events in all runs; a failed run has as many as the worst."""
-        if not self.total:
-            return Value()
-        numbers = [int(number(run)) for run in self.runs]
-        count = sum(numbers) + self.failed * max(numbers, default=1)
-        low, high = count_interval(count)
-        return Value(count, low=low, high=high)
-
-    def _with_failed(self, figure: Callable[[Run], float | None]) -> Floats:
-        values = [value for run in self.runs if (value := figure(run)) is not None]
-        known = [value for value in values if not np.isnan(value)]
-        return np.array([*known, *(self.failed * [max(known, default=np.inf)])], dtype=float)
+        return pooled([each for each in runs if len(each)], quantile_of(q))
 
 
 class Comparison:
@@ -229,10 +137,6 @@ def _at_rest(method: MethodRuns, feature: int, factor: float, every: bool = Fals
     if every:
         return method.median(*figures)
     return method.those(lambda run: run.converged()).mean(*figures)
-
-
-def _median(values: Floats) -> float:
-    return float(np.median(values))
 
 
 _MM, _DEG = 1e3, float(np.rad2deg(1))

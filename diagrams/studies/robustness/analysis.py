@@ -1,19 +1,14 @@
 """Analysis of the records of the study of robustness: when a run is a success, and figures."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sonoservo.diagrams.studies.run_group import RunGroup, Value, pooled, quantile_of
 from sonoservo.diagrams.studies.study import Outcome
-from sonoservo.systems.evaluation.intervals import (
-    count_interval,
-    mean_interval,
-    proportion_interval,
-    run_interval,
-)
 from sonoservo.systems.evaluation.success import KEPT, TrackedVolumes, finite_or_infinite
 
 Floats = NDArray[np.float64]
@@ -56,40 +51,14 @@ class Record(TrackedVolumes):
         )
 
 
-@dataclass(frozen=True)
-class Figure:
-    """A figure with its 95 % interval; None if there is none."""
-
-    value: float | None = None
-    low: float | None = None
-    high: float | None = None
-
-
-class Group:
-    """Runs of one tracker in one experiment.
-
-    `outcomes`: outcomes of the experiment's cases in which the tracker took part; `tracker`: kind
-    of the tracker.
-    """
+class Group(RunGroup[Record]):
+    """Runs of one tracker, by its kind, in the outcomes of an experiment in which it took part."""
 
     def __init__(self, outcomes: Sequence[Outcome], tracker: str) -> None:
-        self.records = [Record.kept_by(each.result[tracker]) for each in outcomes if each]
-        self.total = len(outcomes)
+        finished = [Record.kept_by(each.result[tracker]) for each in outcomes if each]
+        super().__init__(finished, len(outcomes))
 
-    @property
-    def failed(self) -> int:
-        """Number of runs that ended with an error."""
-        return self.total - len(self.records)
-
-    def share(self, good: Callable[[Record], bool]) -> Figure:
-        """Return the share of runs for which something holds, in %; for failed ones it does not."""
-        if not self.total:
-            return Figure()
-        number = sum(good(each) for each in self.records)
-        low, high = proportion_interval(number, self.total)
-        return Figure(100 * number / self.total, 100 * low, 100 * high)
-
-    def quantile(self, error: str, q: float) -> Figure:
+    def quantile(self, error: str, q: float) -> Value:
         """Return a quantile of an error over the volumes from the detection on.
 
         Volumes without an estimate count as infinite errors. So does the volume that stands for a
@@ -97,50 +66,30 @@ class Group:
         """
         runs = [
             getattr(each, error)[each.judged] if each.judged.any() else np.array([np.inf])
-            for each in self.records
+            for each in self.runs
         ]
-        runs += self.failed * [np.array([np.inf])]
-        return _pooled(runs, lambda values: float(np.quantile(values, q, method="inverted_cdf")))
+        return pooled([*runs, *self.failed * [np.array([np.inf])]], quantile_of(q))
 
-    def inside(self, error: str) -> Figure:
+    def inside(self, error: str) -> Value:
         """Return the share of truths inside the stated 95 % from the detection on, in %.
 
         Only volumes with a stated uncertainty count, so runs in which the needle was not found, or
         that failed, do not.
         """
-        stated = [each.inside[error][each.judged] for each in self.records]
+        stated = [each.inside[error][each.judged] for each in self.runs]
         runs = [100 * each[np.isfinite(each)] for each in stated]
-        return _pooled([each for each in runs if len(each)], lambda values: float(values.mean()))
+        return pooled([each for each in runs if len(each)], lambda values: float(values.mean()))
 
-    def false_starts_per_hour(self) -> Figure:
+    def false_starts_per_hour(self) -> Value:
         """Return the rate of false starts; a failed run has as many as the worst of the others."""
-        if not self.records:
-            return Figure()
-        counts = [each.false_starts for each in self.records]
-        number = sum(counts) + self.failed * max(counts)
-        hours = sum(each.seconds for each in self.records) / 3600
-        hours *= self.total / len(self.records)
-        return Figure(number / hours, *(each / hours for each in count_interval(number)))
-
-    def mean(self, value: Callable[[Record], float]) -> Figure:
-        """Return the mean over runs; a failed run has the largest value of the others."""
-        values = [value(each) for each in self.records]
-        values += self.failed * [max(values, default=np.inf)]
-        if not values:
-            return Figure()
-        return Figure(float(np.mean(values)), *mean_interval(np.array(values)))
-
-    def largest(self, value: Callable[[Record], float]) -> Figure:
-        """Return the largest value of all runs; infinite if a run failed."""
-        values = [*(value(each) for each in self.records), *self.failed * [np.inf]]
-        return Figure(max(values)) if values else Figure()
-
-
-def _pooled(runs: Sequence[Floats], statistic: Callable[[Floats], float]) -> Figure:
-    """Return a statistic of the values of all runs, (v,) each, with its interval over runs."""
-    if not runs:
-        return Figure()
-    return Figure(statistic(np.concatenate(runs)), *run_interval(runs, statistic))
+        if not self.runs:
+            return Value()
+        number = self.count(lambda each: each.false_starts)
+        assert number.true is not None
+        assert number.low is not None
+        assert number.high is not None
+        hours = sum(each.seconds for each in self.runs) / 3600 * self.total / len(self.runs)
+        return Value(number.true / hours, low=number.low / hours, high=number.high / hours)
 
 
 def chased(record: Record) -> bool:
@@ -170,11 +119,11 @@ class Threshold:
         return "below the first strength" if self.before is None else f"{self.value:.3g}"
 
 
-def threshold(points: Sequence[tuple[float, Figure]]) -> Threshold:
+def threshold(points: Sequence[tuple[float, Value]]) -> Threshold:
     """Return the threshold of a dial."""
     before = None
     for value, share in points:
-        if share.value is not None and share.value < 100 * KEPT:
+        if share.true is not None and share.true < 100 * KEPT:
             return Threshold(value, before)
         before = value
     return Threshold(None, before)

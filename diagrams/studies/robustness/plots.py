@@ -6,9 +6,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Picture
 
-from sonoservo.diagrams.studies.robustness.analysis import Figure, Group, Record
+from sonoservo.diagrams.studies.robustness.analysis import Group, Record
 from sonoservo.diagrams.studies.robustness.graded_dials import CLINIC, GRADED
 from sonoservo.diagrams.studies.robustness.runs import OURS, PUBLISHED, TRACKERS, ZHAO
+from sonoservo.diagrams.studies.run_group import Value
 from sonoservo.diagrams.studies.study_report import StudyFigure
 from sonoservo.systems.evaluation.reports.plots import BLUE, GREEN, ORANGE
 from sonoservo.systems.evaluation.success import KEPT
@@ -60,11 +61,11 @@ def study_figures(curves: Curves, groups: Groups) -> list[StudyFigure]:
 
 def plot_dials(
     curves: Curves,
-    figure: Callable[[Group], Figure],
+    figure: Callable[[Group], Value],
     label: str,
     highest: float,
     wanted: float,
-    second: Callable[[Group], Figure] | None = None,
+    second: Callable[[Group], Value] | None = None,
 ) -> Picture:
     """Plot a figure of the trackers against the strength of each dial, one panel a dial."""
     names = [name for name in curves if name != "plain"]
@@ -106,11 +107,11 @@ def plot_closed(groups: Groups) -> Picture:
         for tracker, group in groups[name].items():
             colour, marker, shift = _LOOKS[tracker]
             share = group.share(_succeeds)
-            if share.value is None:
+            if share.true is None:
                 continue
             y = height + 6 * shift
             axes.plot([share.low, share.high], [y, y], color=colour, alpha=0.4, linewidth=2)
-            axes.plot(share.value, y, marker, color=colour, markersize=6)
+            axes.plot(share.true, y, marker, color=colour, markersize=6)
     axes.axvline(100 * KEPT, color="0.6", linestyle=":", linewidth=1)
     axes.set_yticks(range(len(names)), [name.removeprefix("closed loop, ") for name in names])
     axes.set_ylim(len(names) - 0.5, -0.5)
@@ -134,7 +135,7 @@ def _draw(
     axes: Axes,
     curve: Sequence[tuple[float, Mapping[str, Group]]],
     tracker: str,
-    figure: Callable[[Group], Figure],
+    figure: Callable[[Group], Value],
     highest: float,
     pale: bool = False,
 ) -> None:
@@ -142,9 +143,9 @@ def _draw(
     colour, marker, shift = _LOOKS[tracker]
     shift *= curve[-1][0]
     points = [(strength + shift, figure(groups[tracker])) for strength, groups in curve]
-    known = [(x, each) for x, each in points if each.value is not None]
+    known = [(x, each) for x, each in points if each.true is not None]
     x = np.array([each for each, _ in known])
-    y = np.array([each.value for _, each in known])
+    y = np.array([each.true for _, each in known])
     shown = np.minimum(y, highest)
     alpha = 0.35 if pale else 1.0
     axes.plot(x, shown, color=colour, alpha=alpha, linewidth=1.2, linestyle="--" if pale else "-")
@@ -166,7 +167,7 @@ def _tick(name: str, strength: float) -> str:
     return name if name == CLINIC else GRADED[name].words(strength, unit=False)
 
 
-def _success(group: Group) -> Figure:
+def _success(group: Group) -> Value:
     return group.share(_succeeds)
 
 
@@ -174,9 +175,9 @@ def _succeeds(record: Record) -> bool:
     return record.success
 
 
-def _median(group: Group) -> Figure:
+def _median(group: Group) -> Value:
     return group.quantile("tip", 0.5)
 
 
-def _p95(group: Group) -> Figure:
+def _p95(group: Group) -> Value:
     return group.quantile("tip", 0.95)

@@ -5,7 +5,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from sonoservo.diagrams.studies.robustness.analysis import (
-    Figure,
     Group,
     Threshold,
     chased,
@@ -14,6 +13,7 @@ from sonoservo.diagrams.studies.robustness.analysis import (
 from sonoservo.diagrams.studies.robustness.graded_dials import GRADED
 from sonoservo.diagrams.studies.robustness.plots import study_figures
 from sonoservo.diagrams.studies.robustness.runs import OURS, PUBLISHED, TRACKERS, ZHAO
+from sonoservo.diagrams.studies.run_group import Value
 from sonoservo.diagrams.studies.study import Outcome
 from sonoservo.diagrams.studies.study_report import Study, StudyRow
 from sonoservo.systems.evaluation.conspicuity import STANDS_OUT_DB
@@ -29,7 +29,7 @@ from sonoservo.systems.evaluation.success import (
 Groups = Mapping[str, Mapping[str, Group]]
 """Runs by experiment and kind of the tracker."""
 
-_ERRORS: Sequence[tuple[str, str, Callable[[Group], Figure]]] = (
+_ERRORS: Sequence[tuple[str, str, Callable[[Group], Value]]] = (
     ("found", "%", lambda group: group.share(lambda run: run.found)),
     (
         "kept, while 10 mm or more stand out",
@@ -45,17 +45,17 @@ _ERRORS: Sequence[tuple[str, str, Callable[[Group], Figure]]] = (
     ("truth inside the stated 95 %, axis", "%", lambda group: group.inside("axis")),
     ("truth inside the stated 95 %, velocity", "%", lambda group: group.inside("velocity")),
 )
-_FALSE_STARTS: tuple[str, str, Callable[[Group], Figure]] = (
+_FALSE_STARTS: tuple[str, str, Callable[[Group], Value]] = (
     "false starts", "1/h", Group.false_starts_per_hour
 )  # fmt: skip
-_GHOSTS: Sequence[tuple[str, str, Callable[[Group], Figure]]] = (
+_GHOSTS: Sequence[tuple[str, str, Callable[[Group], Value]]] = (
     (
         "needle shown while none is in the image, mean",
         "s",
         lambda group: group.mean(lambda run: run.shown_s),
     ),
 )
-_TRAVEL: Sequence[tuple[str, str, Callable[[Group], Figure]]] = (
+_TRAVEL: Sequence[tuple[str, str, Callable[[Group], Value]]] = (
     (
         "travel after a needle that is not in the image, mean",
         "mm",
@@ -156,7 +156,7 @@ def dial_curves(outcomes: Sequence[Outcome]) -> dict[str, Curve]:
 def dial_thresholds(curves: Mapping[str, Curve]) -> dict[str, dict[str, Threshold]]:
     """Return the threshold of each dial and tracker, in the dial's own unit."""
 
-    def success(group: Group) -> Figure:
+    def success(group: Group) -> Value:
         return group.share(lambda run: run.success)
 
     def found(name: str, kind: str) -> Threshold:
@@ -207,19 +207,19 @@ def _rows(experiment: str, trackers: Mapping[str, Group]) -> list[StudyRow]:
 
 
 def _compared(
-    experiment: str, quantity: str, unit: str, figures: Mapping[str, Figure]
+    experiment: str, quantity: str, unit: str, figures: Mapping[str, Value]
 ) -> list[StudyRow]:
     """Return a row of ours beside the published tracker's figure, and one of Zhao's."""
-    ours, published = (figures.get(kind, Figure()) for kind in (OURS, PUBLISHED))
+    ours, published = (figures.get(kind, Value()) for kind in (OURS, PUBLISHED))
     rows = [
         StudyRow(
             experiment=experiment,
             quantity=quantity,
             unit=unit,
-            true=ours.value,
+            true=ours.true,
             low=ours.low,
             high=ours.high,
-            published_true=published.value,
+            published_true=published.true,
             published_low=published.low,
             published_high=published.high,
         )
@@ -231,7 +231,7 @@ def _compared(
                 experiment=experiment,
                 quantity=f"{quantity}, {ZHAO}",
                 unit=unit,
-                true=zhao.value,
+                true=zhao.true,
                 low=zhao.low,
                 high=zhao.high,
             )
@@ -241,7 +241,7 @@ def _compared(
 
 def _moves(group: Group) -> bool:
     """Return True if the probe follows the tracker."""
-    return any(each.travel_mm is not None for each in group.records)
+    return any(each.travel_mm is not None for each in group.runs)
 
 
 def _threshold_rows(thresholds: Mapping[str, Mapping[str, Threshold]]) -> list[StudyRow]:
@@ -253,10 +253,11 @@ def _threshold_rows(thresholds: Mapping[str, Mapping[str, Threshold]]) -> list[S
     return rows
 
 
-def _limits(found: Threshold) -> Figure:
+def _limits(found: Threshold) -> Value:
     """Return a threshold with the strength studied before it, and itself or infinity."""
     beyond = found.value is None and found.before is not None
-    return Figure(found.value, found.before, float("inf") if beyond else found.value)
+    high = float("inf") if beyond else found.value
+    return Value(found.value, low=found.before, high=high)
 
 
 def _threshold_note(thresholds: Mapping[str, Mapping[str, Threshold]]) -> str:

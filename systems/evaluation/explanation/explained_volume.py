@@ -79,9 +79,7 @@ class ExplainedVolume(Log):
     contrast: Annotated[Array, Column("threshold of the level over the background", "dB", ())]
     start: Annotated[Array, Column("abscissa of the needle's visible start", "m", ())]
     tip: Annotated[Array, Column("abscissa of its tip", "m", ())]
-    faint: Annotated[
-        Array, Column("length of its last part, which stands out only as a whole", "m", ())
-    ]
+    tip_seen: Annotated[Array, Column("probability that the tip is seen", "", ())]
     leaves: Annotated[
         Array, Column("whether it goes on beyond what was searched or seen", "", (), "?")
     ]
@@ -235,7 +233,7 @@ def _search(explanation: LocalizationExplanation) -> dict[str, Any]:
         arrays["contrast"] = np.nan if profile.contrast is None else profile.contrast
     if extent is not None:
         arrays["start"], arrays["tip"] = extent.start, extent.tip
-        arrays["leaves"], arrays["faint"] = extent.leaves, extent.faint
+        arrays["leaves"], arrays["tip_seen"] = extent.leaves, extent.seen
     return arrays
 
 

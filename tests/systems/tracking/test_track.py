@@ -221,14 +221,6 @@ def test_a_measurement_nearby_is_the_same_needle_whatever_the_gate_says():
     assert after.reason.startswith("the measurement is")
 
 
-def test_the_prediction_knows_for_how_long_the_tip_is_unseen():
-    life = lifecycle()
-    seen = life.next(tracked(life), 1.0, **NOTHING | {"measurement": measurement(time=1.0)})
-    hidden = dataclasses.replace(measurement(time=1.5), tip_seen=False)
-    track = life.next(seen, 1.5, **NOTHING | {"measurement": hidden})
-    assert life.predict(track, 1.8, STILL, NO_LINES).tip_unseen == pytest.approx(0.8)
-
-
 def test_a_needle_that_comes_out_ends_its_track():
     life = lifecycle(needle_filter=ControlPointFilter())
     track = tracked(life)

@@ -61,9 +61,10 @@ class PublishedLocalizationParameters(Bounded):
     ransac
         Parameters of the random sample consensus. The refit of a straight needle is the published
         one. A bent one is optimized locally instead.
+    end_contrast
+        Level over the surroundings below which the needle ends, in dB.
     profile
-        Sampling of the intensity along the axis (step and radii of the tubes), and the end
-        contrast, the drop at which the needle ends.
+        Sampling of the intensity along the axis: step and radii of the tubes.
     """
 
     candidate_volume: Positive = 400e-9
@@ -73,6 +74,7 @@ class PublishedLocalizationParameters(Bounded):
     min_length: Positive = 10e-3
     max_gap: Positive = 3e-3
     std: Positive = 1e-3
+    end_contrast: Positive = 6.0
     ransac: RansacParameters = field(default_factory=_published_ransac)
     profile: TipParameters = field(default_factory=_published_profile)
 
@@ -193,6 +195,6 @@ def _ends(
     profile = axis_profile(volume, axis, start, stop, parameters.profile)
     looked.update(profile=profile)
     surroundings = np.median(profile.background[profile.seen]) if profile.seen.any() else 0.0
-    bright = profile.seen & (profile.level > surroundings + parameters.profile.end_contrast)
+    bright = profile.seen & (profile.level > surroundings + parameters.end_contrast)
     ends = intensity_drops(profile.a[bright], float(np.median(inliers)), parameters.max_gap)
     return np.array(ends)

@@ -16,10 +16,9 @@ from sonoservo.diagrams.experiments.following_insertion import make_insertion
 from sonoservo.diagrams.papers import results
 from sonoservo.diagrams.papers.registry import STUDIES, require_paper
 from sonoservo.diagrams.published import PAPERS
-from sonoservo.diagrams.studies import records
+from sonoservo.diagrams.studies import records, run_group
 from sonoservo.diagrams.studies.robustness import reproduction
 from sonoservo.diagrams.studies.robustness.analysis import (
-    Figure,
     Group,
     Record,
     chased,
@@ -92,16 +91,16 @@ def test_failed_runs_stay_in_the_statistics():
     outcomes = [Outcome(case, {OURS: kept(false_starts=1)}) for case in cases[:3]]
     group = Group([*outcomes, Outcome(cases[3], error="died")], OURS)
     assert group.failed == 1
-    assert group.share(lambda run: run.success).value == 75
-    assert group.quantile("tip", 0.5).value == 1.0
-    assert group.quantile("tip", 0.999).value == np.inf
-    assert group.false_starts_per_hour().value == pytest.approx(4 / (4 * 36 / 3600))
-    assert group.largest(lambda run: run.shown_s).value == np.inf
+    assert group.share(lambda run: run.success).true == 75
+    assert group.quantile("tip", 0.5).true == 1.0
+    assert group.quantile("tip", 0.999).true == np.inf
+    assert group.false_starts_per_hour().true == pytest.approx(4 / (4 * 36 / 3600))
+    assert group.largest(lambda run: run.shown_s).true == np.inf
     assert Group([outcomes[0]], OURS).quantile("tip", 0.5).low == -np.inf  # too few runs
     only_failed = Group([Outcome(cases[3], error="died")], OURS)
-    assert only_failed.share(lambda run: run.success).value == 0
-    assert only_failed.quantile("tip", 0.5).value == np.inf
-    assert only_failed.false_starts_per_hour().value is None
+    assert only_failed.share(lambda run: run.success).true == 0
+    assert only_failed.quantile("tip", 0.5).true == np.inf
+    assert only_failed.false_starts_per_hour().true is None
 
 
 def test_doubt_is_judged_where_it_is_stated_from_the_detection_on():
@@ -111,9 +110,9 @@ def test_doubt_is_judged_where_it_is_stated_from_the_detection_on():
     outcome = Outcome(Case("x", 0), {OURS: kept(inside=inside, tracking=late)})
     lost = Outcome(Case("x", 1), {OURS: kept(inside=inside, tip=None)})
     group = Group([outcome, lost], OURS)
-    assert group.inside("tip").value == pytest.approx(40)
-    assert group.inside("velocity").value == group.inside("axis").value == 100
-    assert Group([lost], OURS).inside("tip").value is None
+    assert group.inside("tip").true == pytest.approx(40)
+    assert group.inside("velocity").true == group.inside("axis").true == 100
+    assert Group([lost], OURS).inside("tip").true is None
     rows = {each.quantity: each for each in report(outcomes({1.0: (1, 1, 1)})).rows}
     assert rows["truth inside the stated 95 %, tip"].true == 100
 
@@ -135,7 +134,7 @@ def test_a_probe_that_goes_far_after_nothing_chases_a_ghost():
     ],
 )
 def test_thresholds(shares, words, value, before):
-    found = threshold([(2.0**k, Figure(share)) for k, share in enumerate(shares)])
+    found = threshold([(2.0**k, run_group.Value(share)) for k, share in enumerate(shares)])
     assert (str(found), found.value, found.before) == (words, value, before)
 
 

@@ -1,0 +1,118 @@
+"""Figures of a group of runs with their intervals; failed runs stay in the statistics."""
+
+from collections.abc import Callable, Sequence
+from copy import copy
+from dataclasses import dataclass
+from typing import Generic, Self, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sonoservo.systems.evaluation.intervals import (
+    count_interval,
+    mean_interval,
+    proportion_interval,
+    run_interval,
+)
+
+Floats = NDArray[np.float64]
+RunT = TypeVar("RunT")
+
+
+@dataclass(frozen=True)
+class Value:
+    """A figure of one method: true, estimated, and the 95 % interval; None if there is none.
+
+    A share in % also has its number of runs.
+    """
+
+    true: float | None = None
+    estimated: float | None = None
+    low: float | None = None
+    high: float | None = None
+    share_of: int | None = None
+
+
+def pooled(runs: Sequence[Floats], statistic: Callable[[Floats], float]) -> Value:
+    """Return a statistic of the values of all runs, (v,) each, with its interval over runs."""
+    if not runs:
+        return Value()
+    low, high = run_interval(runs, statistic)
+    return Value(statistic(np.concatenate(runs)), low=low, high=high)
+
+
+def quantile_of(q: float) -> Callable[[Floats], float]:
+    """Return a function that takes the quantile of values, which is one of them."""
+    return lambda values: float(np.quantile(values, q, method="inverted_cdf"))
+
+
+class RunGroup(Generic[RunT]):
+    """Runs of one method or tracker in one experiment, of which some may have failed."""
+
+    def __init__(self, runs: Sequence[RunT], total: int) -> None:
+        self.runs, self.total, self.failed = list(runs), total, total - len(runs)
+
+    def mean(
+        self,
+        true: Callable[[RunT], float | None],
+        estimated: Callable[[RunT], float | None] | None = None,
+    ) -> Value:
+        """Return the mean over runs; a failed run has the worst value of the others."""
+        values = self._with_failed(true)
+        if len(values) == 0:
+            return Value()
+        low, high = mean_interval(values)
+        known = self._with_failed(estimated) if estimated else np.zeros(0)
+        mean = float(np.mean(known)) if len(known) else None
+        return Value(float(np.mean(values)), mean, low, high)
+
+    def median(
+        self, true: Callable[[RunT], float | None], estimated: Callable[[RunT], float | None]
+    ) -> Value:
+        """Return the median over runs; a failed run has the worst value of the others."""
+        values = self._with_failed(true)
+        if len(values) == 0:
+            return Value()
+        low, high = run_interval(list(values[:, np.newaxis]), _median)
+        return Value(_median(values), _median(self._with_failed(estimated)), low, high)
+
+    def those(self, good: Callable[[RunT], bool]) -> Self:
+        """Return the finished runs for which something holds."""
+        chosen = copy(self)
+        chosen.runs = [run for run in self.runs if good(run)]
+        chosen.failed, chosen.total = 0, len(chosen.runs)
+        return chosen
+
+    def largest(self, true: Callable[[RunT], float | None]) -> Value:
+        """Return the largest value of all runs; infinite if one is unknown or a run failed."""
+        values = [true(run) for run in self.runs]
+        if not self.total:
+            return Value()
+        known = [np.inf if value is None else value for value in values]
+        return Value(max([*known, *self.failed * [np.inf]]))
+
+    def share(self, good: Callable[[RunT], bool]) -> Value:
+        """Return the share of runs for which something holds, in %; for failed ones it does not."""
+        if not self.total:
+            return Value()
+        number = sum(bool(good(run)) for run in self.runs)
+        low, high = proportion_interval(number, self.total)
+        return Value(100 * number / self.total, None, 100 * low, 100 * high, self.total)
+
+    def count(self, number: Callable[[RunT], int]) -> Value:
+        """Return the number of events in all runs; a failed run has as many as the worst."""
+        if not self.total:
+            return Value()
+        numbers = [int(number(run)) for run in self.runs]
+        count = sum(numbers) + self.failed * max(numbers, default=1)
+        low, high = count_interval(count)
+        return Value(count, low=low, high=high)
+
+    def _with_failed(self, figure: Callable[[RunT], float | None]) -> Floats:
+        values = [value for run in self.runs if (value := figure(run)) is not None]
+        known = [value for value in values if not np.isnan(value)]
+        return np.array([*known, *(self.failed * [max(known, default=np.inf)])], dtype=float)
+
+
+def _median(values: Floats) -> float:
+    return float(np.median(values))

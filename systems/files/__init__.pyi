@@ -1,9 +1,0 @@
-from .memory import require_memory as require_memory
-from .refusals import ConfigurationError as ConfigurationError
-from .typed_yaml import apply_changes as apply_changes
-from .typed_yaml import dump_typed as dump_typed
-from .typed_yaml import load_typed as load_typed
-from .typed_yaml import read_yaml as read_yaml
-from .typed_yaml import suggest as suggest
-from .writing import write_atomically as write_atomically
-from .writing import write_json as write_json
