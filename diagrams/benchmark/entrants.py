@@ -68,7 +68,10 @@ def resolve_entrant(text: str, sequences: Mapping[str, Any]) -> dict[str, Any]:
         }
     if ":" in text:
         factory = load_factory(text)
-        source = getsourcefile(factory)
+        try:
+            source = getsourcefile(factory)
+        except TypeError:  # an object that is called, such as a partial
+            source = getsourcefile(type(factory))
         code = hashlib.sha256(Path(source).read_bytes()).hexdigest() if source else ""
         return {"name": text.removesuffix(":make"), "factory": text, "code": code}
     known = [*sorted(kinds), "brightest_line"]
