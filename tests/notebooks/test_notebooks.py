@@ -9,8 +9,8 @@ NOTEBOOKS = Path(__file__).parents[2] / "notebooks"
 SCRIPTS = sorted(NOTEBOOKS.glob("[1-9]*.py"))
 
 
-def test_there_are_six():
-    assert len(SCRIPTS) == 6
+def test_there_are_eight():
+    assert len(SCRIPTS) == 8
     assert [path.with_suffix(".ipynb") for path in SCRIPTS] == sorted(NOTEBOOKS.glob("*.ipynb"))
 
 
