@@ -34,6 +34,7 @@ from sonoservo.diagrams.app.interruption import INTERRUPTED, is_interrupted
 from sonoservo.diagrams.app.options import (
     ChangesOption,
     ExplainOption,
+    LogOption,
     Page,
     Results,
     ScenarioArgument,
@@ -116,6 +117,7 @@ def run_command(
         Path | None, typer.Option(help="Movie of slices and curves: NAME.gif or NAME.mp4.")
     ] = None,
     explain: ExplainOption = False,
+    log: LogOption = None,
     click: Annotated[
         bool, typer.Option("--click", help="Shape prediction: click on the needle at the start.")
     ] = False,
@@ -126,6 +128,7 @@ def run_command(
         from sonoservo.diagrams.app.run import run
         from sonoservo.diagrams.app.run_result import end_words, summary_table
         from sonoservo.diagrams.app.terminal import Progress, end_run
+        from sonoservo.diagrams.app.viewed_run import ViewedRun
         from sonoservo.diagrams.experiments.registry import load_scenario
 
         loaded = load_scenario(scenario, changes=changes, seed=seed, as_published=as_published)
@@ -145,6 +148,7 @@ def run_command(
         serving(serve, loaded, say) as observers,
         Progress(console, loaded) as progress,
     ):
+        viewed = ViewedRun(log, loaded, progress)
         result = run(
             loaded,
             out=folder,
@@ -156,9 +160,10 @@ def run_command(
             record_sweeps=record_sweeps,
             explain=explain,
             observers=observers,
-            after_step=progress,
+            after_step=viewed,
             progress=False,
         )
+    viewed.end(result.log)
     console.print(summary_table(result))
     say_report(folder)
     write_printed(results.json_path, result.summary)
@@ -177,6 +182,7 @@ def drive_command(
     changes: ChangesOption = None,
     seed: SeedOption = None,
     duration: Annotated[float, typer.Option(help="Maximum simulated time, in s.")] = 600.0,
+    log: LogOption = None,
 ) -> None:
     """Push the needle, move the phantom and set the controller yourself, in a browser.
 
@@ -191,6 +197,7 @@ def drive_command(
         from sonoservo.diagrams.app.pages.pages import open_pages
         from sonoservo.diagrams.app.run_result import end_words, summary_table
         from sonoservo.diagrams.app.terminal import Progress, end_run
+        from sonoservo.diagrams.app.viewed_run import ViewedRun
         from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
         from sonoservo.diagrams.experiments.registry import load_scenario
         from sonoservo.diagrams.scenario import require_scenario
@@ -207,6 +214,7 @@ def drive_command(
         serving(serve, following, say) as observers,
         Progress(console, following) as progress,
     ):
+        viewed = ViewedRun(log, following)
         result = drive(
             following,
             pages.console,
@@ -215,6 +223,7 @@ def drive_command(
             out=folder,
             show=progress.show,
         )
+    viewed.end(result.log)
     console.print(summary_table(result))
     say_report(folder)
     again = f"sonoservo run {folder / 'scenario.yaml'}"

@@ -46,6 +46,10 @@ ChangesOption = Annotated[
 ]
 SeedOption = Annotated[int | None, typer.Option(min=0, help="Random seed of the run.")]
 WaitOption = Annotated[int, typer.Option(min=0, help="Live: number of peers to wait for.")]
+LogOption = Annotated[
+    Path | None,
+    typer.Option("--log", help="Log for a viewer: NAME.rrd (Rerun), NAME.mcap (Foxglove, ROS 2)."),
+]
 ExplainOption = Annotated[
     bool,
     typer.Option(

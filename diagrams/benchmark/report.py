@@ -96,7 +96,7 @@ def worst_cases(data: Mapping[str, Any], tracker: str) -> list[tuple[str, int]]:
     return [(each["suite"], each["seed"]) for each in ordered[:_WORST] if badness(each) > 0]
 
 
-def _worst(result: BenchmarkResult, folder: Path, tracker: str, suite: str, seed: int) -> str:
+def _worst(folder: Path, tracker: str, suite: str, seed: int) -> str:
     path = folder / "cases" / tracker / f"{sequence_name(suite, seed)}.png"
     if not path.is_file():
         return ""

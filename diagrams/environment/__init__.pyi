@@ -1,3 +1,4 @@
 from .commanded_velocity import CommandedVelocity as CommandedVelocity
 from .commands import MakeCommandedSettings as MakeCommandedSettings
 from .follow_needle import FollowNeedle as FollowNeedle
+from .reward import RewardParameters as RewardParameters

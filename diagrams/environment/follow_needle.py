@@ -40,6 +40,9 @@ except ModuleNotFoundError as error:
         "the environment needs the package gymnasium; install it with pip install 'sonoservo[gym]'"
     ) from error
 
+ENVIRONMENT = "sonoservo/FollowNeedle-v0"
+"""Name under which Gymnasium knows the environment, once this module is imported."""
+
 OBSERVATIONS = ("features", "slices", "volume")
 """Kinds of observations."""
 
@@ -125,7 +128,7 @@ class FollowNeedle(DrakeGymEnv):
             reset_handler=self._land,
         )
         self.render_mode = render_mode
-        vars(self).pop("metadata", None)  # that of the base class, which shows by itself
+        self.metadata["render_modes"] = ["rgb_array"]  # the base class has its own
         self.info_handler = lambda simulator: self._info(simulator.get_context())
 
     def _load(self, changes: Sequence[str], seed: int) -> FollowingScenario:
@@ -319,3 +322,9 @@ class _Port:
 
     def Eval(self, context: Context) -> Any:
         return self._function(context)
+
+
+if ENVIRONMENT not in gymnasium.registry:
+    gymnasium.register(
+        id=ENVIRONMENT, entry_point=f"{__name__}:{FollowNeedle.__name__}", max_episode_steps=90
+    )

@@ -164,7 +164,7 @@ class _Scripted(LeafSystem):
         for name, value, calc in (
             ("wrist_force", Value(SpatialForce.Zero()), self._calc_force),
             ("X_WP", Value(RigidTransform()), self._calc_pose),
-            ("estimate", Value[object](None), self._calc_estimate),
+            ("estimate", Value[object](), self._calc_estimate),
         ):
             self.DeclareAbstractOutputPort(name, value.Clone, calc)
         self.DeclarePeriodicDiscreteUpdateEvent(STEP, 0, self._remember)

@@ -73,7 +73,7 @@ SHORT = {
 RUN = {"list", "show", "new", "scan", "run", "compare", "replay"}
 """Commands that are run; the others are only parsed here, and have tests of their own."""
 
-OTHER = {"--serve", "--record", "--explain", "clinic", "carriere2016_d60"}
+OTHER = {"--serve", "--record", "--explain", "--log", "clinic", "carriere2016_d60"}
 """Words of commands that are only parsed, because they need a peer, or kernels of their own."""
 
 

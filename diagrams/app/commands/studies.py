@@ -25,6 +25,7 @@ from sonoservo.diagrams.studies.progress import Heartbeat
 from sonoservo.systems.files.refusals import ConfigurationError
 
 if TYPE_CHECKING:
+    from sonoservo.diagrams.scenario import Scenario
     from sonoservo.diagrams.studies.study import Executor
 
 
@@ -57,7 +58,10 @@ def dataset_command(
         typer.Option("--randomize", help="Also draw the dials that `sonoservo list` names."),
     ] = False,
     layout: Annotated[
-        str, typer.Option(help="Layout of the files: sequences, nnunet or zea.")
+        str,
+        typer.Option(
+            help="Layout of the files: sequences, nnunet, zea, or lerobot: episodes of runs."
+        ),
     ] = "sequences",
     store: Annotated[
         str | None,
@@ -72,6 +76,9 @@ def dataset_command(
     from sonoservo.diagrams.studies.datasets.dataset import make_dataset
 
     loaded = load_scenario(scenario, changes=changes, seed=seed)
+    if layout == "lerobot":
+        _make_episodes(loaded, out, count, workers, printed.json_path)
+        return
     with opened(workers) as executor:
         manifest = make_dataset(
             loaded,
@@ -93,6 +100,26 @@ def dataset_command(
     )
     write_printed(printed.json_path, manifest)
     if manifest["failed"]:
+        raise typer.Exit(1)
+
+
+def _make_episodes(
+    scenario: "Scenario",
+    out: Path,
+    count: int,
+    workers: Workers,
+    json_path: Path | None,
+) -> None:
+    """Write runs of a scenario as episodes of LeRobot."""
+    from sonoservo.diagrams.studies.datasets.lerobot_episodes import make_episodes
+
+    with opened(workers) as executor:
+        info = make_episodes(
+            scenario, out, count=count, jobs=workers.jobs, cluster=executor, console=console
+        )
+    console.print(f"{info['total_episodes']} episodes: {out}/meta/info.json", soft_wrap=True)
+    write_printed(json_path, info)
+    if info["total_episodes"] < count:
         raise typer.Exit(1)
 
 

@@ -12,6 +12,7 @@ from sonoservo.diagrams.app.options import (
     Curve,
     ExplainOption,
     LiveLimits,
+    LogOption,
     Page,
     Reading,
     ReadingFrames,
@@ -29,6 +30,9 @@ from sonoservo.systems.files.refusals import ConfigurationError
 
 if TYPE_CHECKING:
     from sonoservo.diagrams.app.volumes.opening import Opened
+
+if TYPE_CHECKING:
+    from sonoservo.systems.signals.needle_estimate import NeedleEstimate
 
 
 def track_command(
@@ -53,6 +57,7 @@ def track_command(
         bool, typer.Option("--real-time", help="Limit the pace to that of the recording.")
     ] = False,
     explain: ExplainOption = False,
+    log: LogOption = None,
 ) -> None:
     """Track a needle through recorded or live volumes, and write a folder of results."""
     from sonoservo.diagrams.app.live.track_live import track_address
@@ -63,6 +68,7 @@ def track_command(
         mode_words,
         reasons_lines,
     )
+    from sonoservo.diagrams.app.viewed_run import ViewedRun
     from sonoservo.diagrams.app.volumes.opening import open_volumes
     from sonoservo.diagrams.app.volumes.track import track_recording, tracker_parameters
     from sonoservo.systems.live.connection.protocols import is_address
@@ -84,6 +90,11 @@ def track_command(
     shown = pages.console if pages else None
     if live:
         reading.refuse_for_streams()
+        if log is not None:
+            raise ConfigurationError(
+                "--log: not possible with live volumes; record them (sonoservo bridge), and track "
+                "the recording with --log"
+            )
         if explain:
             raise ConfigurationError(
                 "explain: not possible with live volumes; record them (sonoservo bridge), "
@@ -114,7 +125,14 @@ def track_command(
     opened = open_volumes(path, reading)
     _say_about(opened)
     folder = results.out or Path("out") / f"{path.name.partition('.')[0]}_track"
+    viewed = ViewedRun(log)
     with VolumeProgress(console, path.name, len(opened)) as progress:
+
+        def after_volume(number: int, estimate: "NeedleEstimate") -> None:
+            progress(number, estimate)
+            if log is not None:
+                viewed.show(opened[number], estimate)
+
         result = track_recording(
             opened,
             parameters=parameters,
@@ -125,8 +143,9 @@ def track_command(
             explain=explain,
             correct_poses=tracker.correct_poses,
             command=shlex.join(["sonoservo", *sys.argv[1:]]),
-            after_volume=progress,
+            after_volume=after_volume,
         )
+    viewed.end(result.log)
     console.print(mode_table(result.summary))
     for line in reasons_lines(result.summary):
         say(line)
