@@ -1,6 +1,7 @@
 """The leaf that sends values over a live connection."""
 
-from typing import Protocol
+from collections.abc import Mapping
+from typing import Any, Protocol
 
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform
@@ -45,7 +46,7 @@ class Sender(LeafSystem):
         require_not_negative(offset=offset)
         self._outlet, self._feed = outlet, feed
         for name, types in feed.inputs.items():
-            if types is RigidTransform:
+            if types is RigidTransform:  # of which Drake knows the type itself
                 self.DeclareAbstractInputPort(name, Value(RigidTransform()))
             else:
                 declare_inputs(self, **{name: types})
@@ -60,7 +61,8 @@ class Sender(LeafSystem):
 
     def _publish(self, context: Context) -> None:
         feed, time = self._feed, context.get_time()
-        values = {name: evaluate(self, context, name, kind) for name, kind in feed.inputs.items()}
+        inputs: Mapping[str, Any] = feed.inputs
+        values = {name: evaluate(self, context, name, kind) for name, kind in inputs.items()}
         if feed.stamp is not None:
             stamp = feed.stamp(**values)
             if stamp is None or stamp <= self._newest:
