@@ -1,7 +1,6 @@
 """The leaf that sends values over a live connection."""
 
-from collections.abc import Mapping
-from typing import Any, Protocol
+from typing import Protocol
 
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform
@@ -45,9 +44,10 @@ class Sender(LeafSystem):
         require_positive(period=period)
         require_not_negative(offset=offset)
         self._outlet, self._feed = outlet, feed
+        pose = Value(RigidTransform())  # whose type Drake knows itself
         for name, types in feed.inputs.items():
-            if types is RigidTransform:  # of which Drake knows the type itself
-                self.DeclareAbstractInputPort(name, Value(RigidTransform()))
+            if types is RigidTransform:
+                self.DeclareAbstractInputPort(name, pose)
             else:
                 declare_inputs(self, **{name: types})
         self._start()
@@ -61,8 +61,7 @@ class Sender(LeafSystem):
 
     def _publish(self, context: Context) -> None:
         feed, time = self._feed, context.get_time()
-        inputs: Mapping[str, Any] = feed.inputs
-        values = {name: evaluate(self, context, name, kind) for name, kind in inputs.items()}
+        values = {name: evaluate(self, context, name, kind) for name, kind in feed.inputs.items()}
         if feed.stamp is not None:
             stamp = feed.stamp(**values)
             if stamp is None or stamp <= self._newest:
