@@ -60,4 +60,4 @@ def test_volumes_and_estimates_are_the_same_on_another_processor(processor, tmp_
         for environment in ({}, other)
     )
     assert theirs == native
-    assert all("tracking" in (mode for *_, mode in run) for run in native.values())
+    assert "tracking" in (mode for *_, mode in native["chatelain2013_fig5"])

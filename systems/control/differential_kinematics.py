@@ -65,15 +65,7 @@ def probe_twist(
 ) -> NDArray[np.float64]:
     """Return the (6,) spatial velocity of P, in P: rotation first, in rad/s and m/s.
 
-    Parameters
-    ----------
-    planar_velocity
-        (3,) v_x, v_z in m/s and omega_y in rad/s, in P.
-    approach_velocity
-        v_y in P, in m/s.
-    tilt
-        (3,) angular velocity in P that keeps the axis aligned, in rad/s. Its component about Y is
-        ignored.
+    `tilt` keeps the axis aligned; its component about Y is ignored.
     """
     v_x, v_z, omega_y = np.asarray(planar_velocity).tolist()
     return np.array([tilt[0], omega_y, tilt[2], v_x, approach_velocity, v_z])

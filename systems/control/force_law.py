@@ -64,17 +64,7 @@ class ForceControllerParameters:
 
 
 class ForceState(NamedTuple):
-    """State of the force law.
-
-    Parameters
-    ----------
-    force
-        Filtered pressing force, in N.
-    integral
-        Velocity contributed by the integral, in m/s.
-    in_contact
-        Whether the probe is in contact.
-    """
+    """Filtered force in N, velocity by the integral in m/s, and whether there is contact."""
 
     force: float = 0.0
     integral: float = 0.0
@@ -84,17 +74,8 @@ class ForceState(NamedTuple):
 def pressing_force(wrist_force: SpatialForce, X_WP: RigidTransform, mass: float) -> float:
     """Return the force with which the probe presses along its Y axis, in N.
 
-    At rest, the arm's force on the probe, the probe's weight and the contact force balance. In
-    motion the result also contains the probe's inertial force.
-
-    Parameters
-    ----------
-    wrist_force
-        Force of the arm on the probe, in P.
-    X_WP
-        Pose of the probe.
-    mass
-        Mass of the probe, in kg.
+    At rest, the arm's force on the probe (in P), the weight of its `mass` in kg and the contact
+    force balance; in motion the result also contains the inertial force.
     """
     down_P = -X_WP.GetAsMatrix34().item(2, 1)
     weight = mass * UniformGravityFieldElement.kDefaultStrength

@@ -87,18 +87,10 @@ def saturated(
 def significant_velocity(velocity: NDArray[np.float64], min_speed: float) -> NDArray[np.float64]:
     """Return an estimated velocity if it stands out from its noise, and zero otherwise.
 
-    A filter's velocity is never exactly zero. Following its noise would shake a probe that should
-    be at rest. A velocity of twice `min_speed` or more is returned unchanged, one below `min_speed`
-    becomes zero, and in between the result grows continuously. (The velocity's covariance cannot
-    tell noise from motion: a filter that allows for sudden starts is uncertain of the velocity even
-    if it hardly scatters.)
-
-    Parameters
-    ----------
-    velocity
-        (3,) velocity in m/s.
-    min_speed
-        Speed below which a velocity counts as noise, in m/s; zero returns every velocity unchanged.
+    A filter's velocity is never exactly zero, and following its noise would shake a probe at rest.
+    From twice `min_speed` on it is unchanged, below `min_speed` zero, and continuous in between.
+    The velocity's covariance cannot tell noise from motion: a filter that allows for sudden starts
+    is uncertain of a velocity that hardly scatters.
     """
     speed = math.hypot(*velocity.tolist())
     if speed >= 2 * min_speed:

@@ -72,17 +72,7 @@ class VisualServoParameters(Bounded):
 
 
 def hold_reason(estimate: NeedleEstimate, time: float, parameters: VisualServoParameters) -> str:
-    """Return the reason why a tracked needle is not followed; empty if it is or none is tracked.
-
-    Parameters
-    ----------
-    estimate
-        Estimate of the needle in W, at its own time.
-    time
-        Present time, in s.
-    parameters
-        Parameters of the visual servo.
-    """
+    """Return the reason why a tracked needle is not followed; empty if it is or none is tracked."""
     if estimate.mode not in _FOLLOWED or estimate.curve is None:
         return ""
     age = time - estimate.time
@@ -96,23 +86,10 @@ def hold_reason(estimate: NeedleEstimate, time: float, parameters: VisualServoPa
 def planar_velocity(
     estimate: NeedleEstimate, X_WP: RigidTransform, time: float, parameters: VisualServoParameters
 ) -> NDArray[np.float64]:
-    """Return the velocity of the probe in its own X-Z plane that follows an estimated needle.
+    """Return the (3,) velocity (v_x, v_z, omega_y) of P, in P, that follows a needle.
 
-    Parameters
-    ----------
-    estimate
-        Estimate of the needle in W, at its own time. Visual motion stops if nothing is tracked, and
-        for the reasons of `hold_reason`.
-    X_WP
-        Present pose of the probe.
-    time
-        Present time, in s. With feed-forward, the tip is extrapolated to it.
-    parameters
-        Parameters of the visual servo.
-
-    Returns
-    -------
-    (3,) velocity (v_x, v_z, omega_y) of P, in P, in m/s and rad/s.
+    Visual motion stops if nothing is tracked, and for the reasons of `hold_reason`. With
+    feed-forward, the tip is extrapolated to the present time in s.
     """
     followed = estimate.mode in _FOLLOWED and parameters.gain != 0
     if estimate.curve is None or not followed or hold_reason(estimate, time, parameters):

@@ -44,9 +44,10 @@ class Sender(LeafSystem):
         require_positive(period=period)
         require_not_negative(offset=offset)
         self._outlet, self._feed = outlet, feed
+        pose = Value(RigidTransform())  # whose type Drake knows itself
         for name, types in feed.inputs.items():
             if types is RigidTransform:
-                self.DeclareAbstractInputPort(name, Value(RigidTransform()))
+                self.DeclareAbstractInputPort(name, pose)
             else:
                 declare_inputs(self, **{name: types})
         self._start()

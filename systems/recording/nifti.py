@@ -59,7 +59,5 @@ def open_nifti(path: Path, *, frames: bool = False) -> VolumeFile:
             voxels = image.dataobj[..., number] if len(sizes) == 4 else image.dataobj
             return np.asarray(voxels)
 
-    notes = ()
-    if length == "unknown":
-        notes = ("it states no unit of length; mm are taken",)
+    notes = ("it states no unit of length; mm are taken",) if length == "unknown" else ()
     return VolumeFile(path, shape, count, directions, origin, read, times, notes=notes)

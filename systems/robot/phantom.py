@@ -132,19 +132,9 @@ def AddPhantom(
 def set_friction(
     plant: MultibodyPlant, scene_graph: SceneGraph, probe: RigidBody, friction: float
 ) -> None:
-    """Set the coefficient of friction of a probe's face to that of the phantom it is to touch.
+    """Set the friction of a probe's face to that of the phantom it is to touch.
 
-    Drake combines the coefficients a and b of two bodies to 2 a b / (a + b), so that equal ones
-    hold for the pair.
-
-    Parameters
-    ----------
-    plant, scene_graph
-        Plant, not yet finalized, and its scene graph.
-    probe
-        Body of the probe.
-    friction
-        Coefficient of friction.
+    Drake combines two coefficients to 2 a b / (a + b), so that equal ones hold for the pair.
     """
     for geometry in plant.GetCollisionGeometriesForBody(probe):
         found = scene_graph.model_inspector().GetProximityProperties(geometry)

@@ -123,19 +123,9 @@ class PhantomMotionParameters:
 
 
 def phantom_trajectory(parameters: PhantomMotionParameters, X_WT: RigidTransform) -> Trajectory:
-    """Return the pose of the phantom over time.
+    """Return the pose X_WT over time: x, y, z in m, and roll, pitch, yaw in rad.
 
-    Parameters
-    ----------
-    parameters
-        Displacements of the phantom.
-    X_WT
-        Pose at rest.
-
-    Returns
-    -------
-    (6,) trajectory of X_WT: x, y, z in m, and roll, pitch, yaw in rad. It is cubic during a move,
-    from rest to rest, and constant before, between and after the moves, apart from the breathing.
+    It is cubic during a move, from rest to rest, and otherwise constant, apart from the breathing.
     """
     breaks = [-1.0]
     pose = np.concatenate([X_WT.translation(), RollPitchYaw(X_WT.rotation()).vector()])

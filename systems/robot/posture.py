@@ -27,23 +27,8 @@ def probe_pose(
 ) -> RigidTransform:
     """Return the pose X_WP of a probe that looks along the normal of the phantom's top.
 
-    Parameters
-    ----------
-    X_WT
-        Pose of the phantom.
-    x, y
-        Position of the probe on the top, in T, in m.
-    yaw
-        Angle from X_T to X_P about the normal, in rad; at zero Z_P is Y_T on a level top.
-    height
-        Height of the probe's face above the top, along the normal, in m.
-    surface
-        Surface of the phantom; level by default.
-
-    Raises
-    ------
-    ValueError
-        If the position is not on top of the phantom.
+    x, y and the height above the top are in m; at a yaw of zero Z_P is Y_T on a level top.
+    ValueError if the position is not on top of the phantom.
     """
     R_TP = RotationMatrix.MakeZRotation(yaw) @ RotationMatrix.MakeXRotation(-np.pi / 2)
     if surface is None or not surface.is_curved:

@@ -98,22 +98,11 @@ class ProbeBody:
 def dome_semi_axes(
     *, array_radius: float, motor_radius: float, width: float, height: float
 ) -> list[float]:
-    """Return the semi-axes of an ellipsoid with the curvature of a transducer's face.
+    """Return the (3,) semi-axes in m of an ellipsoid with the curvature of a transducer's face.
 
-    The radii of curvature of an ellipsoid with semi-axes a, b, c at its apex on Y are a^2 / b and
-    c^2 / b. They are those of the array and of the motor. Along a flat side the ellipsoid extends
-    beyond the elements by an assumed rim of 5 mm. A radius of more than 1 m counts as flat.
-
-    Parameters
-    ----------
-    array_radius, motor_radius
-        Radii of curvature of the face, lateral and in elevation, in m; 0 if flat.
-    width, height
-        Extents of the elements, lateral and in elevation, in m.
-
-    Returns
-    -------
-    (3,) semi-axes along X, Y, Z of P, in m.
+    Its radii of curvature at the apex on Y are a^2 / b and c^2 / b: those of array and motor, 0 if
+    flat. Along a flat side (also a radius above 1 m) it extends 5 mm beyond the elements, which is
+    assumed.
     """
     array_radius, motor_radius = (r if r < _FLAT else 0.0 for r in (array_radius, motor_radius))
     b = motor_radius or array_radius or _MARGIN

@@ -35,8 +35,8 @@ _ENTERING = 0.7
 _LARGEST = 20.0
 """Largest logarithm of a bin's ratio: nothing is gained by more."""
 
-_UNLIKELY = -12.0
-"""Logarithm of the odds against a needle beyond which they are not computed."""
+_UNLIKELY = 0.0
+"""Largest log odds of a needle, whatever it does, at which they are not computed in full."""
 
 
 @lru_cache(maxsize=64)
@@ -216,6 +216,7 @@ def class_logs(  # pragma: no cover - compiled
         result[n, 3] = _stretches(np.exp(_SHARE * riding[n]))[bins]
         # No needle is more probable than if each bin had arrived at its own best time.
         if bound < max(result[n, 2], result[n, 3]) + _UNLIKELY:
+            result[n, 0] = result[n, 1] = bound
             continue
         for t in range(1, times):
             for b in range(bins):

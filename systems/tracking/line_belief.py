@@ -34,7 +34,7 @@ from sonoservo.systems.tracking.needle_line import log_odds
 
 Floats = NDArray[np.float64]
 
-_REMEMBERED, _ARRIVALS = 14, 30
+_REMEMBERED, _ARRIVALS = 14, 20
 """Numbers of volumes that a new line is looked for in, and of times of arrival that are told apart:
 what came before them was always there."""
 

@@ -105,7 +105,7 @@ class Console:
         without = [name for name in ("force", "error", "inserted") if name not in values]
         self.say(without=[*without, *(("probability",) if estimate is None else ())])
         self.show_volume(volume, estimate, number)
-        self.add(sample_estimate(volume.time, estimate, volume.X_WP, **values))
+        self.add(sample_estimate(volume.time, estimate, volume.X_WP, None, **values))
 
     def show_volume(
         self,

@@ -65,15 +65,7 @@ class Control:
 def controller_controls(
     *, gain: float, force: float, min_force: float, max_force: float = 5.0
 ) -> list[Control]:
-    """Return the controls of the controller.
-
-    Parameters
-    ----------
-    gain, force
-        Initial gain and contact force of the controller, in 1/s and N.
-    min_force, max_force
-        Smallest and largest contact force that can be set, in N.
-    """
+    """Return the sliders of the controller's gain in 1/s and contact force in N."""
     return [
         Control(name="gain", port="controller_target", label="servo gain", unit_label="1/s",
                 unit=1.0, least=0, most=max(3.0, gain), step=0.1, start=gain),
@@ -83,15 +75,7 @@ def controller_controls(
 
 
 def operator_controls(*, depth: float = 0.0, azimuth_deg: float, dip_deg: float) -> list[Control]:
-    """Return the controls of the needle and the phantom.
-
-    Parameters
-    ----------
-    depth
-        Initial inserted length of the needle, in m.
-    azimuth_deg, dip_deg
-        Initial azimuth and dip of the needle, in deg.
-    """
+    """Return the sliders of the needle, inserted by a depth in m at first, and the phantom."""
     return [
         Control(name="depth", port="needle_target", label="needle in", unit_label="mm", unit=1e-3,
                 least=-5, most=max(100, 1e3 * depth + 60), step=1, start=1e3 * depth,
@@ -133,18 +117,9 @@ def deflection(axis: Any) -> float:
 class Controls:
     """Values of the sliders, buttons that were pressed and sticks that are deflected.
 
-    Pages set them on the site's thread, and the run reads them on its own. All pages share them.
-    Values are always finite and within their ranges, whatever a page sends.
-
-    Parameters
-    ----------
-    changed
-        Function called, on any thread, when what the pages show has changed.
-
-    Attributes
-    ----------
-    speed
-        Speed that was asked for, as a multiple of real time; 0 for as fast as possible.
+    All pages share them and set them on the site's thread; the run reads them on its own. Values
+    are always finite and within their ranges. `changed` is called, on any thread, when what the
+    pages show has changed.
     """
 
     def __init__(self, changed: Callable[[], None] = lambda: None) -> None:

@@ -58,24 +58,10 @@ class SliceView:
 class SlicePicture:
     """A slice to be drawn; all lengths are in mm.
 
-    Parameters
-    ----------
-    title
-        Title of the slice.
-    axes
-        Names of the coordinates to the right and down.
-    grey
-        (rows, columns) levels from 0 to 255, the first row at the top; 0 outside the sector.
-    corner, size
-        Coordinates of the upper left corner of the picture, and its width and height.
-    window
-        Left, right, top and bottom edges of the area shown.
-    rails
-        Two (m, 2) polylines beside the needle, one on each side; none without a needle.
-    tip
-        (2,) coordinates of the tip; empty without a needle.
-    lines
-        Class and (2, 2) ends of each other line that is followed near the slice.
+    It has a title, the names of its coordinates to the right and down, (rows, columns) levels, the
+    upper left corner and the size of the picture, the left, right, top and bottom edges of the area
+    shown, two polylines beside the needle, the (2,) tip (empty without a needle), and class and (2,
+    2) ends of the lines that are followed near the slice.
     """
 
     title: str

@@ -18,20 +18,7 @@ Place = tuple[float, float]
 
 
 class ClickPage:
-    """Shows a slice in a page, and waits for the click on the needle in it.
-
-    Parameters
-    ----------
-    site
-        Site to which the page "click" is added.
-    image
-        Slice to show.
-
-    Raises
-    ------
-    ValueError
-        If the site has a page "click" already.
-    """
+    """Shows a slice in a page "click" of a site, and waits for the click on the needle in it."""
 
     def __init__(self, site: Site, image: ImageSlice) -> None:
         self._site = site

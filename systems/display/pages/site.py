@@ -128,28 +128,11 @@ class Site:
         keep: object = None,
         close: Callable[[], None] | None = None,
     ) -> None:
-        """Add a page.
+        """Add a page by its name in the address and its title.
 
-        Parameters
-        ----------
-        page
-            Name of the page in its address.
-        title
-            Title in the list of pages.
-        handlers
-            Path below the page's, class and arguments of each of its request handlers.
-        rest
-            Router of all other paths below the page's, if any. It must guard them itself.
-        keep
-            Object that is kept alive until the site is closed, and let go on the thread that closes
-            it.
-        close
-            Function called on the site's thread before it stops.
-
-        Raises
-        ------
-        ValueError
-            If the site has a page of this name.
+        Each handler has a path below the page's, a class and arguments; a `rest` of other paths
+        must guard itself. `keep` is an object that lives until the site is closed, and `close` is
+        called on the site's thread before it stops. ValueError if the site has such a page.
         """
         require(page not in self._titles, "page", page, "a name that the site does not have yet")
 
