@@ -68,7 +68,7 @@ def test_random_actions_end_in_no_error_and_below_the_limit_of_the_force():
     env = make(reward=RewardParameters(lost_after=0.5))
     rng, ends = np.random.default_rng(5), set()
     env.reset(seed=1)
-    for _ in range(12):
+    for _ in range(6):
         action = rng.choice([-1, 1], 4).astype(np.float32)
         _, reward, ended, _, info = env.step(action)
         assert 0 <= reward <= 1
