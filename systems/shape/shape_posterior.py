@@ -33,6 +33,7 @@ from sonoservo.systems.signals.requirements import (
     NotNegative,
     Positive,
     PositiveInt,
+    require,
     require_within,
 )
 
