@@ -10,8 +10,8 @@ from .shape_least_squares import FittedShape as FittedShape
 from .shape_least_squares import ShapeLeastSquares as ShapeLeastSquares
 from .shape_least_squares import ShapeLeastSquaresParameters as ShapeLeastSquaresParameters
 from .shape_parameters import ShapeEstimatorParameters as ShapeEstimatorParameters
-from .shape_particle_filter import ParticleBelief as ParticleBelief
 from .shape_particle_filter import ShapeParticleFilter as ShapeParticleFilter
+from .shape_particle_filter import ShiftedBeliefs as ShiftedBeliefs
 from .shape_posterior import Moments as Moments
 from .shape_posterior import ShapeParticleFilterParameters as ShapeParticleFilterParameters
 from .shape_posterior import ShapePosterior as ShapePosterior

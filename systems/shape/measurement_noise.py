@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonoservo.systems.signals.needle_shape import path_statistics
-from sonoservo.systems.signals.requirements import Positive, check_bounds, require
+from sonoservo.systems.signals.requirements import NotNegative, Positive, check_bounds, require
 
 Floats = NDArray[np.float64]
 
@@ -31,12 +31,17 @@ class MeasurementNoise:
     outlier
         Distance of a measurement from its prediction, in standard deviations, beyond which its
         weight falls in inverse proportion (Huber).
+    shift_std, shift_length
+        Standard deviation in m of a shift of the tissue along X and along Y, and the distance in m
+        along the path over which it persists; 0 for none.
     """
 
     std: Positive = 0.12e-3
     confidence: Positive = 10.0
     independence: float = 0.9
     outlier: Positive = 3.0
+    shift_std: NotNegative = 0.0
+    shift_length: Positive = 6e-3
 
     def __post_init__(self) -> None:
         check_bounds(self)

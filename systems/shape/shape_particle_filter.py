@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import logsumexp
 
 from sonoservo.systems.shape.shape_filter import ShapePaths
 from sonoservo.systems.shape.shape_posterior import (
@@ -24,6 +25,9 @@ from sonoservo.systems.signals.immutable import Immutable
 from sonoservo.systems.signals.needle_shape import bicycle_paths
 
 Floats = NDArray[np.float64]
+
+_IMPOSSIBLE = 1e-4
+"""Probability of a level of the tissue's shift below which it is followed no longer."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +48,7 @@ class ParticleBelief(Immutable):
     variance: float
     points: Floats = field(default_factory=lambda: np.zeros((0, 3)))
     weights: Floats = field(default_factory=lambda: np.zeros(0))
+    log_evidence: float = 0.0
 
     @property
     def normalized_weights(self) -> Floats:
@@ -52,8 +57,8 @@ class ParticleBelief(Immutable):
         return weights / weights.sum()
 
 
-class ShapeParticleFilter:
-    """Particle filter for static parameters, a `ShapeFilter`."""
+class _Filter:
+    """Particle filter for static parameters in tissue whose shift has a known level."""
 
     def __init__(self, parameters: ShapeParticleFilterParameters) -> None:
         self.parameters = parameters
@@ -84,9 +89,12 @@ class ShapeParticleFilter:
         moments = posterior.moments(points, weights)
         sums = belief.sums + posterior.sums(belief.particles, points[-1:], weights[-1:])
         fits = posterior.fit(belief.particles, sums, moments, belief.variance)
+        gained = posterior.log_likelihood(fits, moments) - before
+        evidence = float(logsumexp(gained, b=belief.normalized_weights))
         belief = replace(
             belief,
-            log_weights=belief.log_weights + posterior.log_likelihood(fits, moments) - before,
+            log_weights=belief.log_weights + gained,
+            log_evidence=belief.log_evidence + evidence,
             sums=sums,
             moments=moments,
             fits=fits,
@@ -118,7 +126,95 @@ class ShapeParticleFilter:
             wander_length=self.parameters.wander.length,
         )
 
-    def learned_wander(self, belief: ParticleBelief) -> WanderParameters:
+    def _weight(self, belief: ParticleBelief, point: Floats, rng: np.random.Generator) -> float:
+        """Return the weight of a measurement; see `MeasurementNoise.weight`."""
+        noise = self.parameters.noise
+        if not len(belief.points):
+            return noise.independence
+        paths = self.represent(belief, rng)
+        at = (
+            paths.origins
+            + bicycle_paths(paths.parameters, point[2:], self.parameters.rotations)[:, 0]
+        )
+        modes = self._posterior.design(point[2:])[0, self._posterior.wandering]
+        at += np.matmul(modes, paths.wander)
+        spread = paths.origin_variance + noise.shift_std**2
+        return noise.weight(point[:2], at, paths.weights, spread, belief.variance)
+
+
+@dataclass(frozen=True, eq=False)
+class ShiftedBeliefs(Immutable):
+    """Beliefs about the needle for each level of the tissue's shift that is still possible.
+
+    ``numbers`` are those of the levels among `ShapeParticleFilterParameters.shift_stds`.
+    """
+
+    levels: tuple[ParticleBelief, ...]
+    numbers: tuple[int, ...]
+
+    @property
+    def shares(self) -> Floats:
+        """Probability of each level."""
+        evidence = np.array([each.log_evidence for each in self.levels])
+        weights = np.exp(evidence - evidence.max())
+        return np.asarray(weights / weights.sum())
+
+    @property
+    def particles(self) -> Floats:
+        """(n, 5) particles of all levels."""
+        return np.concatenate([each.particles for each in self.levels])
+
+    @property
+    def normalized_weights(self) -> Floats:
+        """(n,) weights of all particles, with a sum of 1."""
+        levels = zip(self.shares, self.levels, strict=True)
+        return np.concatenate([share * each.normalized_weights for share, each in levels])
+
+
+class ShapeParticleFilter:
+    """Particle filters for static parameters, one for each level of the tissue's shift.
+
+    Tissue that breathes shifts neighbouring slices alike. Without a state for that, its shift would
+    count as a needle that bends to and fro. A filter integrates it out, given its level, and the
+    evidence weighs the levels.
+    """
+
+    def __init__(self, parameters: ShapeParticleFilterParameters) -> None:
+        self.parameters = parameters
+        self._filters = tuple(
+            _Filter(replace(parameters, noise=replace(parameters.noise, shift_std=each)))
+            for each in parameters.shift_stds
+        )
+
+    def begin(self, rng: np.random.Generator) -> ShiftedBeliefs:
+        """Return particles drawn from the prior, before any measurement."""
+        levels = tuple(each.begin(rng) for each in self._filters)
+        return ShiftedBeliefs(levels, tuple(range(len(levels))))
+
+    def update(
+        self, belief: ShiftedBeliefs, point: Floats, rng: np.random.Generator
+    ) -> ShiftedBeliefs:
+        """Weight all particles by (3,) x, y and depth in I, in m; impossible levels are dropped."""
+        levels = zip(belief.numbers, belief.levels, strict=True)
+        after = [self._filters[k].update(each, point, rng) for k, each in levels]
+        shares = ShiftedBeliefs(tuple(after), belief.numbers).shares
+        kept = [k for k, share in enumerate(shares) if share > _IMPOSSIBLE]
+        return ShiftedBeliefs(tuple(after[k] for k in kept), tuple(belief.numbers[k] for k in kept))
+
+    def represent(self, belief: ShiftedBeliefs, rng: np.random.Generator) -> ShapePaths:
+        """Return the particles, each with its most probable origin and a draw of its wander."""
+        levels = zip(belief.numbers, belief.levels, strict=True)
+        paths = [self._filters[k].represent(each, rng) for k, each in levels]
+        return ShapePaths(
+            parameters=np.concatenate([each.parameters for each in paths]),
+            origins=np.concatenate([each.origins for each in paths]),
+            weights=belief.normalized_weights,
+            origin_variance=float(belief.shares @ [each.origin_variance for each in paths]),
+            wander=np.concatenate([each.wander for each in paths]),
+            wander_length=self.parameters.wander.length,
+        )
+
+    def learned_wander(self, belief: ShiftedBeliefs) -> WanderParameters:
         """Return the wander's prior for the next needle in the tissue: the posterior's moments."""
         share, amplitudes = belief.normalized_weights, belief.particles[:, 3:]
         mean = share @ amplitudes
@@ -130,19 +226,6 @@ class ShapeParticleFilter:
             across=float(np.exp(mean[1])),
             across_spread=float(spread[1]),
         )
-
-    def _weight(self, belief: ParticleBelief, point: Floats, rng: np.random.Generator) -> float:
-        """Return the weight of a measurement; see `MeasurementNoise.weight`."""
-        noise = self.parameters.noise
-        if not len(belief.points):
-            return noise.independence
-        paths = self.represent(belief, rng)
-        at = (
-            paths.origins
-            + bicycle_paths(paths.parameters, point[2:], self.parameters.rotations)[:, 0]
-        )
-        at += np.matmul(self._posterior.design(point[2:])[0, 1:], paths.wander)
-        return noise.weight(point[:2], at, paths.weights, paths.origin_variance, belief.variance)
 
 
 def _resample(belief: ParticleBelief, share: Floats, rng: np.random.Generator) -> ParticleBelief:

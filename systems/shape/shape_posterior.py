@@ -24,6 +24,7 @@ from sonoservo.systems.shape.shape_parameters import (
     MAX_PARTICLES,
     ShapeEstimatorParameters,
 )
+from sonoservo.systems.shape.tissue_shift import shift_modes
 from sonoservo.systems.signals.bicycle_paths import deflections
 from sonoservo.systems.signals.curvature_wander import wander_modes
 from sonoservo.systems.signals.immutable import Immutable
@@ -32,6 +33,7 @@ from sonoservo.systems.signals.requirements import (
     NotNegative,
     Positive,
     PositiveInt,
+    require,
     require_within,
 )
 
@@ -110,6 +112,9 @@ class ShapeParticleFilterParameters(ShapeEstimatorParameters):
         Noise of the measured cross-sections.
     wander
         Prior of the curvature's wander along the path.
+    shift_stds
+        Levels of the tissue's shift in m, of equal probability; see `MeasurementNoise`. Each has
+        particles of its own.
     """
 
     particles: int = 500
@@ -117,9 +122,11 @@ class ShapeParticleFilterParameters(ShapeEstimatorParameters):
     moves: PositiveInt = 3
     noise: MeasurementNoise = field(default_factory=MeasurementNoise)
     wander: WanderParameters = field(default_factory=WanderParameters)
+    shift_stds: list[float] = field(default_factory=lambda: [0.0, 0.2e-3, 0.5e-3])
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        require(len(self.shift_stds) > 0, "shift_stds", self.shift_stds, "one level or more")
         require_within("particles", self.particles, 50, MAX_PARTICLES)
         self._require_min_radius(self.min_radius)
 
@@ -167,6 +174,7 @@ class ShapePosterior:
         self._parameters = p = parameters
         self._rotations = np.array(p.rotations, dtype=float)
         self._modes = wander_modes(p.depth, p.rotations, p.wander.length)
+        self._shifts = shift_modes(p.depth, p.noise.shift_length) if p.noise.shift_std else None
         self._constant = p.wander.amplitude == 0
         self._log_median = np.log([p.wander.amplitude or 1.0, p.wander.across])
         self._log_most = float(np.log(p.wander.most))
@@ -196,9 +204,18 @@ class ShapePosterior:
         return np.where(possible, out, -np.inf)
 
     def design(self, depths: Floats) -> Floats:
-        """Return (m, k + 1) the constant 1 and the modes at (m,) depths in m."""
-        constant = np.ones((len(depths), 1))
-        return constant if self._constant else np.hstack([constant, self._modes.at(depths)])
+        """Return (m, k + 1 + s) constant 1, modes of wander and shift at (m,) depths in m."""
+        columns = [np.ones((len(depths), 1))]
+        if not self._constant:
+            columns.append(self._modes.at(depths))
+        if self._shifts is not None:
+            columns.append(self._shifts.at(depths))
+        return np.hstack(columns)
+
+    @property
+    def wandering(self) -> slice:
+        """Columns of the `design` that are modes of the wander."""
+        return slice(1, 1 if self._constant else 1 + len(self._modes))
 
     def moments(self, points: Floats, weights: Floats) -> Moments:
         """Return the moments of (m, 3) measured points with (m,) weights."""
@@ -237,6 +254,7 @@ class ShapePosterior:
         Returns (n, k, 2) coefficients of the modes along X and Y of I, in 1/m, and (n, 2) most
         probable origins, in m, whose remaining variance is ``variance`` / ``moments.total``.
         """
+        sums, moments, _ = self._without_shift(sums, moments, variance)
         drawn = np.sqrt(variance * fits.shrinkage) * rng.normal(size=fits.mean.shape)
         along, across = (fits.mean + drawn) @ fits.rotation.T
         cosine, sine = np.cos(particles[:, 2:3]), np.sin(particles[:, 2:3])
@@ -247,6 +265,7 @@ class ShapePosterior:
 
     def fit(self, particles: Floats, sums: Floats, moments: Moments, variance: float) -> WanderFits:
         """Fit origin and wander of each particle to all measurements, of a ``variance`` in m^2."""
+        sums, moments, shift_determinant = self._without_shift(sums, moments, variance)
         # The origin has a flat prior; its integral centres everything.
         middle = moments.modes[1:, 0] / moments.total
         strength, rotation = np.linalg.eigh(
@@ -274,8 +293,39 @@ class ShapePosterior:
         squares = np.maximum(squares - (mean * products).sum(axis=(0, 2)), 0.0)
         return WanderFits(
             squares=np.where(np.isfinite(squares), squares, np.inf),
-            log_determinant=0.5 * np.log(widened).sum(axis=(0, 2)),
+            log_determinant=0.5 * np.log(widened).sum(axis=(0, 2)) + shift_determinant,
             rotation=rotation,
             mean=mean,
             shrinkage=shrinkage,
         )
+
+    def _without_shift(
+        self, sums: Floats, moments: Moments, variance: float
+    ) -> tuple[Floats, Moments, float]:
+        """Return sums and moments with the tissue's shift integrated out, and its log determinant.
+
+        The coefficients of the shift's modes are normal, so the integral takes from each product of
+        two columns what both have in common with the modes.
+        """
+        k = self.wandering.stop
+        std = self._parameters.noise.shift_std
+        if self._shifts is None:
+            return sums, moments, float(np.log(moments.total or 1.0))
+        modes, points = moments.modes, moments.points
+        ridge = variance / std**2
+        inner = modes[k:, k:] + ridge * np.eye(len(modes) - k)
+        solved = np.linalg.solve(inner, np.hstack([modes[k:, :k], points[k:]]))
+        at_modes, at_points = solved[:, :k], solved[:, k:]
+        kept = modes[:k, :k] - modes[:k, k:] @ at_modes
+        reduced = Moments(
+            points[:k] - modes[:k, k:] @ at_points,
+            moments.square - float((points[k:] * at_points).sum()),
+            kept,
+        )
+        own = sums[:, 3 + k :]
+        square = sums[:, 0] - (own * np.linalg.solve(inner, own.T).T).sum(axis=1)
+        sums = np.column_stack(
+            [square, sums[:, 1:3] - own @ at_points, sums[:, 3 : 3 + k] - own @ at_modes]
+        )
+        determinant = np.linalg.slogdet(inner / ridge)[1] + np.log(max(reduced.total, 1e-300))
+        return sums, reduced, float(determinant)

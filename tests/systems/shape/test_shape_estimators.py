@@ -248,8 +248,29 @@ def test_an_unexpected_measurement_weighs_less(name):
         belief = shape_filter.update(belief, point, rng)
     off = path.position(0.03) + np.array([0.0, 3e-3, 0.0])
     belief = shape_filter.update(belief, off, rng)
-    assert np.median(belief.weights) == 1.0
-    assert belief.weights[-1] < 0.2
+    still = belief.levels[0] if name == "particle_filter" else belief
+    assert np.median(still.weights) == 1.0
+    assert still.weights[-1] < 0.2
+
+
+@pytest.mark.parametrize("breath", [0.0, 0.5e-3])
+def test_tissue_that_breathes_is_no_needle_that_bends(breath):
+    """The shift's wave is as long as that of a breath of 4 s while a needle goes 10 mm/s."""
+    depths, path = np.arange(0, 0.06, 1.5e-3), BicyclePath(radius=1.2, rotations=(0.06,))
+    errors = {1: [], 3: []}
+    for phase in (0, 2, 4):
+        points = measured(path, depths, 0.1e-3)
+        points[:, 0] += breath * np.sin(2 * np.pi * depths / 0.04 + phase)
+        for levels in ([0.0], [0.0, 0.2e-3, 0.5e-3]):
+            # As in tissue, the curvature may wander.
+            values = {"rotations": [0.06], "shift_stds": levels, "wander": WanderParameters()}
+            shape = estimate("particle_filter", points, **values)[-1]
+            mean, covariance = shape.predict(np.array([0.14]))
+            off = mean[0] - path.position(0.14)[:2]
+            errors[len(levels)].append(np.linalg.norm(off))
+        assert off @ np.linalg.solve(covariance[0], off) < chi2.ppf(0.99, 2)
+    without, with_shift = np.mean(errors[1]), np.mean(errors[3])
+    assert with_shift < (0.7 * without if breath else 1.2 * without)
 
 
 @pytest.mark.parametrize(
