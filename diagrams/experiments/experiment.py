@@ -238,7 +238,7 @@ class Experiment(ABC, Generic[ScenarioT]):
         if values[0] is self._newest or isinstance(values[0], NotFound):
             return False
         self._newest = values[0]
-        seconds = dict(zip(self._compute, np.diff(clock), strict=True))
+        seconds = dict(zip(self._compute, np.diff(clock).tolist(), strict=True))
         compiled, self._compiled = self._clock.compiled - self._compiled, self._clock.compiled
         for name, total in self._background.items():
             before, self._worked[name] = self._worked[name], total()
