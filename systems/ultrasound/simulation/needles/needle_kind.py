@@ -7,8 +7,8 @@ import numpy as np
 
 from sonoservo.systems.files.model_file import model_file
 from sonoservo.systems.files.typed_yaml import load_typed, read_yaml
+from sonoservo.systems.signals.random_streams import HELD_OUT
 from sonoservo.systems.ultrasound.simulation.needles.needle_echo import NeedleEchoParameters
-from sonoservo.systems.ultrasound.simulation.structures.structure import HELD_OUT
 
 NEEDLE = "biopsy"
 """Name of the default kind of needle."""

@@ -6,6 +6,7 @@ from typing import Any, ClassVar, NamedTuple, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from sonoservo.systems.signals.random_streams import HELD_OUT
 from sonoservo.systems.signals.requirements import (
     NotNegative,
     check_bounds,
@@ -46,9 +47,6 @@ class Tube(NamedTuple):
     flow: float = 0.0
     """Speed of the flow, in m/s."""
 
-
-HELD_OUT = range(100)
-"""Seeds whose layouts are mirror images of the others', which methods are tuned on."""
 
 _TURNED, _ALONG, _LEVEL, _DEPTH = 20.0, 0.01, 0.01, 0.003
 """Greatest differences between layouts: angle in deg about the needle, distance in m along it, and,
