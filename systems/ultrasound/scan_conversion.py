@@ -229,9 +229,9 @@ class ScanConversion:
 
         volume = np.zeros(self.grid.shape, np.uint8)
         seen = np.zeros(self.grid.shape, np.uint8)
-        corners = pack_corners(samples, (0, 0, 0), tuple(n - 2 for n in geometry.shape))
+        packed = pack_corners(samples, (0, 0, 0), tuple(n - 2 for n in geometry.shape))
         resample_moving(
-            volume, seen, rows, *corners, sector, self._axes[0], self._distance, self._step, shifts,
+            volume, seen, rows, *packed, sector, self._axes[0], self._distance, self._step, shifts,
             nodes_row, row,
         )  # fmt: skip
         return volume, None if margin.max() < 0.5 * self.grid.spacing.min() else seal(
