@@ -93,6 +93,9 @@ class NeedleExtent(Immutable):
         Abscissae between which the needle stands out, in m.
     tip, tip_std
         Most probable abscissa of the tip and its standard deviation, in m.
+    bevel_std
+        Standard deviation in m of an error that stays as long as the needle is turned as it is: how
+        much of the bevel shows. It is not part of ``tip_std``.
     seen
         Probability that the tip is seen.
     entered
@@ -109,6 +112,7 @@ class NeedleExtent(Immutable):
     end: float
     tip: float
     tip_std: float
+    bevel_std: float
     seen: float
     entered: float
     leaves: bool

@@ -32,6 +32,9 @@ class NeedleMeasurement(Immutable):
         Pose of the probe from which the tip was seen; None if unknown.
     tip_seen
         Whether the end of the curve was seen to be the tip. If not, the needle may go on beyond it.
+    bevel_std
+        Standard deviation along the needle, in m, of an error of the tip that all measurements have
+        in common, as long as the needle is turned as it is; not part of the covariance.
     """
 
     curve: NeedleCurve
@@ -41,6 +44,7 @@ class NeedleMeasurement(Immutable):
     inlier_ratio: Annotated[float, within(0, 1)]
     X_WP: RigidTransform | None = None
     tip_seen: bool = True
+    bevel_std: float = 0.0
 
     def __post_init__(self) -> None:
         size = 3 * self.curve.order

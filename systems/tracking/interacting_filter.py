@@ -204,7 +204,7 @@ class InteractingFilter:
             np.stack([mean] * len(weights)),
             np.stack([P] * len(weights)),
             weights,
-            self.constant * R,
+            self._constant(measurement, R),
             measurement,
             k,
         )
@@ -268,10 +268,17 @@ class InteractingFilter:
             means=means,
             covariances=covariances,
             weights=weights / weights.sum(),
-            constant=self.constant * R,
+            constant=self._constant(measurement, R),
             seen=measurement,
             axis=axis,
         )
+
+    def _constant(self, measurement: NeedleMeasurement, R: Floats) -> Floats:
+        """Return the covariance of the errors that all measurements have in common."""
+        k = measurement.curve.direction
+        constant = self.constant * R
+        constant[-3:, -3:] += measurement.bevel_std**2 * np.outer(k, k)
+        return constant
 
     def _correlation(self, before: NeedleMeasurement, now: NeedleMeasurement) -> float:
         """Return the correlation of the repeated errors of two measurements."""

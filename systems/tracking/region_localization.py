@@ -217,4 +217,5 @@ def _judge(
         ratio,
         volume.X_WP,
         tip_seen=extent.tip_seen,
+        bevel_std=extent.bevel_std,
     )

@@ -255,7 +255,9 @@ def find_extent(
     logs, beyond, mirror = _end_logs(
         contrast, profile.seen, share, width / FWHM_PER_SIGMA, step, first
     )
-    tip, std, seen = _tip(profile.a, first, logs, beyond, mirror, parameters.bevel_length, expected)
+    tip, std, bevel_std, seen = _tip(
+        profile.a, first, logs, beyond, mirror, parameters.bevel_length, expected
+    )
     # Outside the tissue nothing scatters, so a needle that enters it in view comes from nowhere.
     around = uniform_filter1d(profile.background, round(_TREND / step))
     empty = around < np.median(around[first : last + 1]) - _EMPTY
@@ -266,6 +268,7 @@ def find_extent(
         end=float(profile.a[last]),
         tip=tip,
         tip_std=std,
+        bevel_std=bevel_std,
         seen=seen,
         entered=float(profile.a[unseen[-1]]) if len(unseen) else -np.inf,
         leaves=bool(after >= len(profile.a) or not profile.seen[after]),
@@ -355,19 +358,16 @@ def _tip(
     mirror: NDArray[np.float64],
     bevel_length: float,
     expected: tuple[float, float] | None,
-) -> tuple[float, float, float]:
-    """Return abscissa and standard deviation of the tip in m, and the probability that it is seen.
+) -> tuple[float, float, float, float]:
+    """Return abscissa of the tip, its deviation, that of the bevel, and how probably it is seen.
 
-    It is seen if it lies near the end that the contrasts alone make most probable. If that is not
-    probable, the deviation is that of all places where it may be.
+    Lengths are in m. The tip is seen if it lies near the end that the contrasts alone make most
+    probable. If that is not probable, its deviation is that of all places where it may be.
     """
     step, top = float(a[1] - a[0]), max(float(logs.max()), beyond)
     farther = (a - a[first]) / _REACH
     weights = np.exp(logs - top - farther) * (step / _REACH)
     rest, rest_at = math.exp(beyond - top - farther[-1]), float(a[-1]) + _REACH
-    # A rough end may be that of the shaft or of the bevel; a mirror's is that of the bevel.
-    hidden = 0.5 * bevel_length * (1 - mirror)
-    tips = a + hidden
 
     near = round(_NEAR / step)
 
@@ -379,15 +379,18 @@ def _tip(
     agreeing, disagreeing = weights, rest
     if expected is not None:
         at, std = expected[0], math.hypot(expected[1], 0.5 * bevel_length)
-        density = np.exp(-0.5 * ((tips - at) / std) ** 2) / (math.sqrt(2 * math.pi) * std)
+        density = np.exp(-0.5 * ((a - at) / std) ** 2) / (math.sqrt(2 * math.pi) * std)
         agreeing = weights * (1 - _AGREES + _AGREES * density * _REACH * np.exp(farther))
         disagreeing = rest * (1 - _AGREES)
     here = most_probable(agreeing)
-    mean = float(agreeing[here] @ tips[here] / agreeing[here].sum())
+    mean = float(agreeing[here] @ a[here] / agreeing[here].sum())
+    # A rough end may be that of the shaft or of the bevel; a mirror's is that of the bevel.
+    rough = float(weights[end] @ (1 - mirror[end]) / weights[end].sum())
+    hidden = rough * bevel_length / math.sqrt(3)
     seen = float(agreeing[end].sum() / (agreeing.sum() + disagreeing))
-    spread = weights * ((tips - mean) ** 2 + hidden**2 / 3 + step**2)
+    spread = weights * ((a - mean) ** 2 + step**2)
     if seen >= TIP_IS_SEEN:
-        return mean, math.sqrt(spread[end].sum() / weights[end].sum()), seen
+        return mean, math.sqrt(spread[end].sum() / weights[end].sum()), hidden, seen
     # What was expected is no evidence, so the deviation is that of the contrasts alone.
     far = rest * ((rest_at - mean) ** 2 + _REACH**2)
-    return mean, math.sqrt((spread.sum() + far) / (weights.sum() + rest)), seen
+    return mean, math.sqrt((spread.sum() + far) / (weights.sum() + rest)), hidden, seen

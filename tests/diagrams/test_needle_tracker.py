@@ -2,8 +2,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import yaml
 from pydrake.common.value import Value
-from pydrake.common.yaml import yaml_dump_typed, yaml_load_typed
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import LeafSystem
 from synthetic_volumes import Scene, entry_on_side
@@ -19,6 +19,7 @@ from sonoservo.diagrams.trackers import (
 )
 from sonoservo.diagrams.trackers.registry import TRACKERS
 from sonoservo.systems.files.refusals import ConfigurationError
+from sonoservo.systems.files.typed_yaml import dump_typed, load_typed
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle_estimate import TrackingMode
 from sonoservo.systems.tracking.axis_tip_filter import AxisTipFilter
@@ -143,8 +144,8 @@ def test_bent_needles_have_three_control_points(volumes):
 
 
 def test_parameters_survive_yaml():
-    text = yaml_dump_typed(Chatelain2013TrackerParameters(order=3))
-    assert yaml_load_typed(schema=Chatelain2013TrackerParameters, data=text).order == 3
+    data = yaml.safe_load(dump_typed(Chatelain2013TrackerParameters(order=3)))
+    assert load_typed(Chatelain2013TrackerParameters, data, "a file").order == 3
 
 
 @pytest.mark.parametrize(("field", "value"), [("kind", "x"), ("order", 5), ("start", "soon")])
@@ -195,7 +196,14 @@ def test_every_tracker_has_one_face(parameters):
     inputs = [tracker.get_input_port(n).get_name() for n in range(tracker.num_input_ports())]
     outputs = [tracker.get_output_port(n).get_name() for n in range(tracker.num_output_ports())]
     assert inputs == ["volume"]
-    assert outputs == ["estimate", "measurement", "detection", "explanation", "volume_check"]
+    assert outputs == [
+        "estimate",
+        "measurement",
+        "detection",
+        "explanation",
+        "volume_check",
+        "lines",
+    ]
     # All that reaches an output at once is the explanation: the estimate is a state.
     assert [tracker.HasDirectFeedthrough(n) for n in range(4)] == [False, False, False, True]
     assert tracker.get_name() == "needle_tracker"

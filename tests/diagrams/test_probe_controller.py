@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
+import yaml
 from pydrake.common.value import Value
-from pydrake.common.yaml import yaml_load_typed
 from pydrake.multibody.plant import MultibodyPlantConfig
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
@@ -12,6 +12,7 @@ from sonoservo.diagrams.probe_controller import MakeProbeController, ProbeContro
 from sonoservo.diagrams.station import MakeStation, ProbePlacement, StationParameters
 from sonoservo.systems.control.visual_features import needle_features
 from sonoservo.systems.control.visual_servo import VisualServoParameters
+from sonoservo.systems.files.typed_yaml import load_typed
 from sonoservo.systems.robot.phantom import PhantomMotion
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
@@ -215,9 +216,7 @@ def test_parameters_load_from_yaml():
     visual_servo: {gain: 0.5, feed_forward: false}
     force: {force: 3.0}
     """
-    parameters = yaml_load_typed(
-        schema=ProbeControllerParameters, data=text, defaults=ProbeControllerParameters()
-    )
+    parameters = load_typed(ProbeControllerParameters, yaml.safe_load(text), "a file")
     assert not parameters.visual_servo.feed_forward
     assert parameters.force.force == 3.0
     assert parameters.force.approach_speed == 0.01

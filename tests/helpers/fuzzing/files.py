@@ -184,12 +184,15 @@ def _write_npz(folder: Path) -> None:
     write_log(folder / "log.npz", build_insertion_log())
 
 
+MADE_BY = {"code": "of the test"}
+
+
 def _kept(folder: Path) -> runs._Kept:
-    return runs._Kept(folder, Store(str(folder)), "code")
+    return runs._Kept(folder, Store(str(folder)), MADE_BY)
 
 
 def _write_outcome(folder: Path) -> None:
-    outcome = study.Outcome(CASE, {"error_mm": 1.25, "n": [1, 2]}, "", 1.5)
+    outcome = study.Outcome(CASE, {"error_mm": 1.25, "n": [1, 2]}, "", 1.5, made_by=MADE_BY)
     assert _kept(folder).write(study.Finished(outcome)) == outcome
 
 
