@@ -44,7 +44,7 @@ _TREND, _BEFORE = 5e-3, 1e-3
 _MIRROR = 16.0, 24.0
 """Contrast in dB up to which an end is rough, and from which on it mirrors sound."""
 
-_REACH = 50e-3
+_REACH = 20e-3
 """Mean length in m of what is not seen of a needle, beyond where it was last seen."""
 
 _AGREES = 0.9
@@ -383,14 +383,15 @@ def _tip(
         agreeing = weights * (1 - _AGREES + _AGREES * density * _REACH * np.exp(farther))
         disagreeing = rest * (1 - _AGREES)
     here = most_probable(agreeing)
-    mean = float(agreeing[here] @ a[here] / agreeing[here].sum())
+    # The posterior is skewed: a flank may fade, and nothing begins before it.
+    tip = float(a[here][agreeing[here].argmax()])
     # A rough end may be that of the shaft or of the bevel; a mirror's is that of the bevel.
     rough = float(weights[end] @ (1 - mirror[end]) / weights[end].sum())
     hidden = rough * bevel_length / math.sqrt(3)
     seen = float(agreeing[end].sum() / (agreeing.sum() + disagreeing))
-    spread = weights * ((a - mean) ** 2 + step**2)
+    spread = weights * ((a - tip) ** 2 + step**2)
     if seen >= TIP_IS_SEEN:
-        return mean, math.sqrt(spread[end].sum() / weights[end].sum()), hidden, seen
+        return tip, math.sqrt(spread[end].sum() / weights[end].sum()), hidden, seen
     # What was expected is no evidence, so the deviation is that of the contrasts alone.
-    far = rest * ((rest_at - mean) ** 2 + _REACH**2)
-    return mean, math.sqrt((spread.sum() + far) / (weights.sum() + rest)), hidden, seen
+    far = rest * ((rest_at - tip) ** 2 + _REACH**2)
+    return tip, math.sqrt((spread.sum() + far) / (weights.sum() + rest)), hidden, seen

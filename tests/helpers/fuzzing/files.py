@@ -143,7 +143,7 @@ def read_run_log(path: Path, rng: Random) -> float:
 
 
 def read_outcome(path: Path, rng: Random) -> float:
-    good = study.Outcome(CASE, {"error_mm": 1.25, "n": [1, 2]}, "", 1.5)
+    good = study.Outcome(CASE, {"error_mm": 1.25, "n": [1, 2]}, "", 1.5, made_by=MADE_BY)
     assert _kept(path.parent).read(CASE) in (None, good), "an altered outcome was believed"
     return 0.0
 

@@ -101,7 +101,7 @@ def test_the_same_volume_stored_otherwise_has_the_same_needle(tmp_path, made):
 
 
 def test_anisotropic_voxels_show_the_same_needle(tmp_path):
-    """To 0.3 mm and 0.3 deg in the median: another grid has other noise at a needle's end."""
+    """To 0.4 mm and 0.3 deg in the median: another grid has other noise at a needle's end."""
     tips, angles = [], []
     for seed in (104, 105, 106, 107, 108, 110, 112, 113):
         volume = random_scan(seed).volume
@@ -117,7 +117,7 @@ def test_anisotropic_voxels_show_the_same_needle(tmp_path):
         tips.append(np.linalg.norm(np.subtract(found["tip_lps_mm"], wanted["tip_lps_mm"])))
         cosine = np.dot(found["direction_lps"], wanted["direction_lps"])
         angles.append(np.degrees(np.arccos(min(cosine, 1))))
-    assert np.median(tips) <= 0.3
+    assert np.median(tips) <= 0.4
     assert np.median(angles) <= 0.3
     # The end of one of the eight is another one on another grid.
     assert np.sum(np.array(tips) > 1) <= 1

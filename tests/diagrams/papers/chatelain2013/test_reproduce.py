@@ -108,7 +108,7 @@ def test_the_whole_study_in_short(tmp_path, monkeypatch):
         chatelain2013,
         "PROTOCOLS",
         {
-            "fig4": protocol("chatelain2013_fig4", 5.0),
+            "fig4": protocol("chatelain2013_fig4", 6.8),
             "fig5": protocol(five, 5.8, compared=True),
             "fig6": protocol("chatelain2013_fig6", 3.2, moved),
             "bent": protocol(five, 1.5, "tracker.order=3"),
