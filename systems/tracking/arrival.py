@@ -35,9 +35,6 @@ _ENTERING = 0.7
 _LARGEST = 20.0
 """Largest logarithm of a bin's ratio: nothing is gained by more."""
 
-_UNLIKELY = 0.0
-"""Largest log odds of a needle, whatever it does, at which they are not computed in full."""
-
 
 @lru_cache(maxsize=64)
 def _advances(milliseconds: int) -> Floats:
@@ -214,8 +211,9 @@ def class_logs(  # pragma: no cover - compiled
         back = _stretches(turned[0])
         result[n, 2] = before[bins]
         result[n, 3] = _stretches(np.exp(_SHARE * riding[n]))[bins]
-        # No needle is more probable than if each bin had arrived at its own best time.
-        if bound < max(result[n, 2], result[n, 3]) + _UNLIKELY:
+        # No needle is more probable than if each bin had arrived at its own best time. One that is
+        # less so than a line at rest is none, and its probability is not computed in full.
+        if bound < max(result[n, 2], result[n, 3]):
             result[n, 0] = result[n, 1] = bound
             continue
         for t in range(1, times):
