@@ -1,12 +1,12 @@
-"""The features, held against levels that are known exactly."""
+"""What lines look like, held against levels that are known exactly."""
 
 import numpy as np
 import pytest
 from pydrake.math import RigidTransform
 
 from sonoservo.systems.signals.volume import Volume
-from sonoservo.systems.tracking import line_features as module
-from sonoservo.systems.tracking.line_features import line_features
+from sonoservo.systems.tracking import line_looks as module
+from sonoservo.systems.tracking.line_looks import line_looks
 
 PITCH = 0.5e-3
 SHAPE = (101, 81, 61)
@@ -28,8 +28,11 @@ def volume(level):
     )
 
 
-def features(level):
-    return line_features(volume(level), ENDS, evidence=80e-3, entry_gap=4e-3, tip_gap=4e-3)
+def features(level, ends=ENDS):
+    given = {"evidence": [30.0], "entry_gap": [4e-3], "tip_gap": [4e-3]}
+    given = {name: np.array(value) for name, value in given.items()}
+    found = line_looks(volume(level), ends[np.newaxis], **given)
+    return {name: float(value[0]) for name, value in found.items()}
 
 
 def line(below, aside, x=0.0):
@@ -44,7 +47,7 @@ def blur(monkeypatch):
     def choose(*std):
         covariance = np.diag(np.square(std))
         monkeypatch.setattr(
-            module, "echo_covariance", lambda volume, p_P: np.stack(3 * [covariance])
+            module, "echo_covariance", lambda volume, p_P: np.stack(len(p_P) * [covariance])
         )
 
     choose(0.6e-3, 0.6e-3, 0.6e-3)
@@ -86,9 +89,7 @@ def test_what_brightens_below_is_behind():
 @pytest.mark.parametrize(("length", "short"), [(35e-3, 0.0), (20e-3, 0.0), (10e-3, 0.5)])
 def test_short_lines_are_told(length, short):
     ends = ENDS[0] + np.outer([0, length], [1.0, 0.0, 0.0])
-    found = line_features(volume(line), ends, evidence=80e-3, entry_gap=0.0, tip_gap=4e-3)
-    assert found["short"] == pytest.approx(short)
-    assert found["entry gap"] == 0
+    assert features(line, ends)["short"] == pytest.approx(short)
 
 
 def test_a_width_is_relative_to_the_larger_blur_across_the_line(blur):
