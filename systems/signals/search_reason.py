@@ -54,12 +54,6 @@ class SearchReason(Enum):
         "let the run be longer (duration) or the hand start later (hand.start)",
         f"record some seconds before the needle is pushed in, or {_ANYWHERE}",
     )
-    PROBE_MOVES = _Search(
-        "the probe moved",
-        "the probe moves",
-        "let the hand wait until the probe rests: leave hand.start out, or set it later",
-        f"hold the probe still while the needle is pushed in, or {_ANYWHERE}",
-    )
     OTHER_SETTINGS = _Search(
         "the previous volume",
         "the scanner's settings have changed",
@@ -99,9 +93,6 @@ class SearchReason(Enum):
         "let the run be longer (duration), or push the needle further into view (hand.pushes)",
         "record more volumes; one sweep over the needle is not enough, three are",
     )
-    NONE_IN_VOLUME = _Search(
-        "no needle in the whole", "no needle in the whole volume", _FAINT, _UNSEEN
-    )
     NOT_DETECTED = _Search(
         "no needle has been", "no needle has been detected", _FAINT, f"{_UNSEEN} Or {_ANYWHERE}"
     )
@@ -133,6 +124,14 @@ class SearchReason(Enum):
         "none of", "nothing lies where the needle is expected", _FAINT, _UNSEEN
     )
     NOTHING_ALONG = _Search("nothing along", "no needle stands out along its line", _FAINT, _UNSEEN)
+    HARDLY_SEEN = _Search("only", "too little of the needle is seen", _FAINT, _UNSEEN)
+    OFF_PREDICTION = _Search(
+        "the measurement is", "what is found lies far from the prediction", _FAINT, _UNSEEN
+    )
+    OUT_OF_VIEW = _Search(
+        "the predicted needle lies outside", "the needle has left the view", "", ""
+    )
+    NOT_ALIKE = _Search("the line found", "the line found is like no needle", _FAINT, _UNSEEN)
     WITHDRAWN = _Search("the needle was withdrawn", "the needle was withdrawn", "", "")
     TRACKED = _Search("a needle is being tracked", "a needle is being tracked", "", "")
 

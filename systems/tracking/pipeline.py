@@ -15,6 +15,7 @@ from sonoservo.systems.signals.localization_explanation import (
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
 from sonoservo.systems.signals.needle_prediction import NeedlePrediction
+from sonoservo.systems.signals.search_reason import SearchReason
 from sonoservo.systems.signals.volume import Volume
 from sonoservo.systems.tracking.localizer_parameters import NeedleLocalizerParameters
 from sonoservo.systems.tracking.needle_line import log_odds, needle_lines
@@ -104,9 +105,9 @@ def _localize_everywhere(
     """Localize the line that looks most like a needle; return the probability that it is one."""
     lines = needle_lines(volume)
     if not lines:
-        return [], NotFound("no bright line comes from outside the field of view"), 0.0
+        return [], NotFound(SearchReason.NO_BRIGHT_LINE(" is seen")), 0.0
     if lines[0].probability < parameters.min_probability:
-        reason = "no line stands out from its surroundings as a needle does"
+        reason = SearchReason.NO_LINE(" stands out as a needle does")
         return [], NotFound(reason), lines[0].probability
     attempts: Attempts = []
     first: tuple[NotFound, float] | None = None
@@ -124,7 +125,7 @@ def _localize_everywhere(
         seen = acquired_from(volume, measurement.curve.control_points[[0, -1]])
         if log_odds(volume, seen[np.newaxis])[0] >= 0:
             return attempts, measurement, each.probability
-        reason = "the line found does not look like a needle over all its length"
+        reason = SearchReason.NOT_ALIKE(" does not look like a needle over all its length")
         first = first or (NotFound(reason), each.probability)
     assert first is not None
     return attempts, *first

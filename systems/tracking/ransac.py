@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.requirements import require, require_positive
+from sonoservo.systems.signals.search_reason import SearchReason
 from sonoservo.systems.tracking.axis_fit import AxisFit, as_fit, assess_axis, least_squares
 
 _BLOCK = 128
@@ -314,7 +315,7 @@ def ransac_axis(
         parameters.refits,
     )
     if draws == rejected:
-        return NotFound(f"none of {draws} samples agrees with the expected needle")
+        return NotFound(SearchReason.NOT_AS_EXPECTED(f" {draws} samples agrees with the needle"))
     fit = as_fit(solution, len(points))
     if isinstance(fit, NotFound):
         return fit

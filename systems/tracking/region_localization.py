@@ -15,6 +15,7 @@ from sonoservo.systems.signals.localization_explanation import (
 )
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
+from sonoservo.systems.signals.search_reason import SearchReason
 from sonoservo.systems.signals.volume import Volume
 from sonoservo.systems.tracking.axis import axis_through
 from sonoservo.systems.tracking.axis_fit import AxisFit, fit_axis
@@ -84,7 +85,9 @@ def _attempt(
     fit = _refit(points, weights, parameters, rough, extent)
     extent = _extent(volume, region, parameters, fit, looked)
     if turns_too_far(region, fit.axis, extent, parameters):
-        raise _AbsentError("too little of a needle is visible to show that it turned")
+        raise _AbsentError(
+            SearchReason.HARDLY_SEEN(" a part is seen of what turned")
+        )
     inliers, between = _inliers(points, parameters, fit, extent)
     return _judge(volume, region, parameters, fit, extent, int(inliers.sum()), int(between.sum()))
 
@@ -106,7 +109,7 @@ def _candidates(
         slab=parameters.slab,
     )
     if len(candidates.p_P) == 0:
-        raise _AbsentError("the predicted needle lies outside the field of view")
+        raise _AbsentError(SearchReason.OUT_OF_VIEW(" the field of view"))
     return volume.to_world(candidates.p_P)[0], candidates.weights
 
 
@@ -136,7 +139,7 @@ def _extent(
         least = max(least, min(share, parameters.min_shaft))
     if extent.visible_tip - extent.start < least:
         visible = 1e3 * max(extent.visible_tip - extent.start, 0.0)
-        raise _AbsentError(f"only {visible:.1f} mm of the needle are visible")
+        raise _AbsentError(SearchReason.HARDLY_SEEN(f" {visible:.1f} mm of the needle are visible"))
     return extent
 
 
@@ -179,9 +182,11 @@ def _judge(
     """Return the control points and their covariance, if the evidence is sufficient."""
     ratio = float(inliers / max(candidates, 1))
     if ratio < parameters.min_inlier_ratio:
-        raise _AbsentError(f"only {100 * ratio:.0f} % of the candidates lie on the axis")
+        raise _AbsentError(
+            SearchReason.HARDLY_SEEN(f" {100 * ratio:.0f} % of what is bright")
+        )
     if extent.evidence < parameters.min_evidence:
-        raise _AbsentError("the axis stands out too little from the background")
+        raise _AbsentError(SearchReason.NOTHING_ALONG(" the axis stands out enough"))
     start = extent.start
     if region.entry is not None:
         known = float(fit.axis.abscissa(region.entry))
@@ -191,7 +196,7 @@ def _judge(
     fades = fades_before_tip(region, fit.axis, extent, parameters)
     tip = float(fit.axis.abscissa(region.curve.tip)) if fades else extent.tip
     if extent.tip - start < parameters.min_length:
-        raise _AbsentError("the needle has been withdrawn to its entry")
+        raise _AbsentError(SearchReason.WITHDRAWN(" to its entry"))
     # Interior points are uniform along the chord. The entry rests, the tip moves, no point slides.
     order = region.curve.order
     u = np.linspace(0, 1, order)

@@ -15,6 +15,7 @@ from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.localization_explanation import AxisProfile, NeedleExtent
 from sonoservo.systems.signals.point_spread import FWHM_PER_SIGMA
 from sonoservo.systems.signals.requirements import require_positive
+from sonoservo.systems.signals.search_reason import SearchReason
 from sonoservo.systems.signals.volume import Volume
 from sonoservo.systems.tracking.axis import Axis
 from sonoservo.systems.tracking.faint_end import FAINT_STD, faint_part
@@ -252,7 +253,7 @@ def find_extent(
         max_evidence=parameters.max_evidence,
     )
     if last < 0:
-        return NotFound("nothing along the axis stands out from the background")
+        return NotFound(SearchReason.NOTHING_ALONG(" the axis stands out from the background"))
     tip, end_std, hidden, hidden_std = _tip(profile, contrast, (first, last), parameters)
     width = _width_at(profile, tip, parameters)
     faint, continues = faint_part(profile.a, contrast, profile.seen, tip, expected, width)

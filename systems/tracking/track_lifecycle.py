@@ -207,7 +207,7 @@ class TrackLifecycle:
             moved = replace(track, entry=None)
             return self._confirmed(state, measurement, probability, moved, distance)
         missed = replace(track, rejected=measurement, innovation=distance)
-        reason = f"the measurement is {distance:.1f} standard deviations from the prediction"
+        reason = SearchReason.OFF_PREDICTION(f" {distance:.1f} standard deviations off")
         return self._miss(missed, time, speed, reason)
 
     def _confirmed(

@@ -20,6 +20,7 @@ from sonoservo.systems.signals.ports import (
     evaluate,
 )
 from sonoservo.systems.signals.requirements import require_not_negative, require_positive
+from sonoservo.systems.signals.search_reason import SearchReason
 from sonoservo.systems.signals.velocity_measurement import VelocityMeasurement
 from sonoservo.systems.signals.volume import Volume
 from sonoservo.systems.tracking.lifecycle import Lifecycle
@@ -169,8 +170,8 @@ class TrackManager(LeafSystem):
             return EventStatus.DidNothing()
         prediction: Any = self.GetOutputPort("prediction").Eval(context)
         # Inputs are evaluated only if needed, so an unused localizer costs nothing.
-        detection: InsertionDetection | NotFound = NotFound("a needle is being tracked")
-        measurement: NeedleMeasurement | NotFound = NotFound("no needle has been detected")
+        detection: InsertionDetection | NotFound = NotFound(SearchReason.TRACKED())
+        measurement: NeedleMeasurement | NotFound = NotFound(SearchReason.NOT_DETECTED(" detected"))
         velocity: VelocityMeasurement | NotFound = NotFound("the velocity is not measured")
         if track.mode == TrackingMode.SEARCHING:
             detection = self._optional(context, "detection", InsertionDetection)

@@ -7,6 +7,7 @@ from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.ports import declare_inputs, declare_output, evaluate
 from sonoservo.systems.signals.radio_frequency_sweep import RadioFrequencySweep
 from sonoservo.systems.signals.requirements import require_not_negative, require_positive
+from sonoservo.systems.signals.search_reason import SearchReason
 from sonoservo.systems.signals.volume import Volume
 
 Remembered = Volume | RadioFrequencySweep
@@ -72,7 +73,7 @@ class VolumeMemory(LeafSystem):
             ):
                 output.set_value(each)
                 return
-        output.set_value(NotFound("there is no earlier volume to compare with"))
+        output.set_value(NotFound(SearchReason.NOTHING_EARLIER(" to compare with")))
 
     def _update_volumes(self, context: Context, state: State) -> EventStatus:
         volume = evaluate(self, context, "volume", (Volume, RadioFrequencySweep, NotFound))
