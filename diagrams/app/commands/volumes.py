@@ -344,6 +344,9 @@ def locate_command(
     write_printed(json_path, found)
     if not found["found"]:
         raise typer.Exit(1)
+    say_notes(
+        "one volume cannot tell a guide wire or another needle from it; `track` does by motion"
+    )
 
 
 def check_command(

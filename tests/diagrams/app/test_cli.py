@@ -252,6 +252,7 @@ def test_what_is_recorded_is_tracked_and_its_needle_located(tmp_path):
     found = sonoservo_here(*arguments, str(count - 1))
     assert found.returncode == 0, found.stderr
     assert "tip_lps_mm" in found.stdout
+    assert "guide wire" in found.stdout
 
 
 @pytest.mark.parametrize("command", ["track", "locate"])
