@@ -85,9 +85,7 @@ def _attempt(
     fit = _refit(points, weights, parameters, rough, extent)
     extent = _extent(volume, region, parameters, fit, looked)
     if turns_too_far(region, fit.axis, extent, parameters):
-        raise _AbsentError(
-            SearchReason.HARDLY_SEEN(" a part is seen of what turned")
-        )
+        raise _AbsentError(SearchReason.HARDLY_SEEN(" a part is seen of what turned"))
     inliers, between = _inliers(points, parameters, fit, extent)
     return _judge(volume, region, parameters, fit, extent, int(inliers.sum()), int(between.sum()))
 
@@ -182,9 +180,7 @@ def _judge(
     """Return the control points and their covariance, if the evidence is sufficient."""
     ratio = float(inliers / max(candidates, 1))
     if ratio < parameters.min_inlier_ratio:
-        raise _AbsentError(
-            SearchReason.HARDLY_SEEN(f" {100 * ratio:.0f} % of what is bright")
-        )
+        raise _AbsentError(SearchReason.HARDLY_SEEN(f" {100 * ratio:.0f} % of what is bright"))
     if extent.evidence < parameters.min_evidence:
         raise _AbsentError(SearchReason.NOTHING_ALONG(" the axis stands out enough"))
     start = extent.start

@@ -35,14 +35,18 @@ def test_the_most_frequent_reason_while_the_needle_is_in_view_counts():
     reason, advice = missing_needle(log([NONE, MOVED, MOVED, STILL, NONE, STILL, STILL]))
     assert reason == "Nothing changed by more than 2.1 dB."
     assert advice.startswith("Push the needle into view (hand.pushes, hand.aim)")
-    reason, advice = missing_needle(log([NONE, NONE, "the change is spread over 9 mm", NONE, MOVED, STILL]))
+    reason, advice = missing_needle(
+        log([NONE, NONE, "the change is spread over 9 mm", NONE, MOVED, STILL])
+    )
     assert reason == "The change is spread over 31 mm."
     assert "more slowly" in advice
 
 
 def test_a_whole_volume_s_search_gives_the_localizer_s_reason():
     tracked = ["a needle is being tracked"] * 4
-    reason, advice = missing_needle(log(tracked, measured=["no line stands out as a needle does"] * 4))
+    reason, advice = missing_needle(
+        log(tracked, measured=["no line stands out as a needle does"] * 4)
+    )
     assert reason == "No line stands out as a needle does."
     assert "hand.dip_deg" in advice
 
@@ -83,7 +87,9 @@ def test_the_report_tells_why():
 
 
 def test_reasons_are_counted_by_kind_the_most_frequent_first():
-    count = ReasonCount([MOVED, STILL, "it rains", "", STILL, "the change is spread over 9 mm", STILL])
+    count = ReasonCount(
+        [MOVED, STILL, "it rains", "", STILL, "the change is spread over 9 mm", STILL]
+    )
     assert count.words == {"nothing changes": 3, "too much changes at once": 2, "it rains": 1}
     assert "--start anywhere" in count.advice
     assert ReasonCount(["it rains"]).advice == ""
