@@ -50,11 +50,13 @@ class Lines:
 
 
 def cases(generator, seed, needle):
-    """Return a volume of a generator and the ends of its needle in P, or None."""
+    """Return a volume of a generator and the ends of its needle in P, each perhaps None."""
     if generator == "painted":
         made = painted(seed, needle)
         return made.volume, made.ends
     made = drawn_scan(seed, needle)
+    if made is None:
+        return None, None
     volume = made.volume.at_once()
     return volume, volume.to_probe(made.needle.control_points[[0, -1]]) if needle else None
 
@@ -69,7 +71,7 @@ def collect(seeds, say=lambda line: None):
         for which, generator in enumerate(GENERATORS):
             for needle in (True, False):
                 volume, ends = cases(generator, seed, needle)
-                fits = fitted_lines(volume, cells_of(volume))
+                fits = fitted_lines(volume, cells_of(volume)) if volume else None
                 if not fits:
                     continue
                 found = evident_stretches(volume, np.array([fit.ends for fit in fits]))

@@ -50,7 +50,10 @@ def drawn_structures(rng):
 
 
 def drawn_scan(seed, needle):
-    """Return a `RandomScan`; half with structures, a quarter not in agar."""
+    """Return a `RandomScan`, half of them with structures; None if one of these is a vessel.
+
+    The wall of a straight vessel mirrors along a line, so it looks like a wire.
+    """
     rng = np.random.default_rng([seed, 11])
     changes = {
         "needle": str(rng.choice(NEEDLES)),
@@ -62,12 +65,16 @@ def drawn_scan(seed, needle):
         "imaging.dynamic_range_db": float(rng.uniform(50, 70)),
     }
     if rng.random() < 0.5:
+        fat = float(rng.choice([0.0, 4e-3]))
+        structures = drawn_structures(rng)
+        if any(each["kind"] == "vessel" for each in structures):
+            return None
         tissue = {
             "size": [0.24, 0.16, 0.08],
             "scatterers_per_cell": 4,
             "attenuation": 0.5,
-            "fat": {"thickness": float(rng.choice([0.0, 4e-3]))},
-            "structures": drawn_structures(rng),
+            "fat": {"thickness": fat},
+            "structures": structures,
         }
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "body.yaml"

@@ -57,19 +57,21 @@ def blur(monkeypatch):
 def test_a_line_in_even_tissue_is_narrow_and_alike_on_all_sides(blur):
     found = features(line)
     assert found["width"] < 0.95
-    assert 10 < found["near aside"] == pytest.approx(found["far middle"], abs=0.5)
-    assert found["near least"] == pytest.approx(found["far middle"], abs=0.5)
-    assert found["far above"] == pytest.approx(found["far middle"], abs=0.5)
+    assert found["aside"] < 10 ** (-10 / 20)
+    assert found["around"] == pytest.approx(found["aside"], rel=0.1)
+    assert found["above"] == pytest.approx(found["outside"], rel=0.1)
     assert found["entry gap"] == pytest.approx(0.5)
     assert found["behind"] == found["border"] == found["evidence"] == found["fall"] == 0
     assert found["tip at edge"] == pytest.approx(np.exp(-1))
+    assert found["rim"] == 0
 
 
 def test_a_sheet_is_wide_and_as_bright_beside(blur):
     found = features(lambda below, aside, x: np.where(np.abs(below) < 0.8e-3, LINE, TISSUE))
-    assert found["width"] == 1.15
-    assert found["near aside"] < 3  # a sector is wider than the sheet
-    assert found["far above"] > 10
+    assert found["width"] == pytest.approx(1.4)
+    assert found["aside"] == pytest.approx(found["around"])
+    assert found["aside"] > 0.8
+    assert found["above"] < 0.3
 
 
 @pytest.mark.parametrize(("drop", "border"), [(4.0, 0.0), (8.0, 1.0), (12.0, 4.0), (24.0, 9.0)])
@@ -105,7 +107,6 @@ def test_a_width_says_nothing_where_the_blur_is_unknown():
     assert features(line)["width"] == 1
 
 
-def test_outside_the_field_of_view_counts_neither_way(blur):
-    seen = features(line)
+def test_what_lies_along_the_border_of_the_field_of_view_has_a_rim(blur):
     edge = features(lambda below, aside, x: np.where(aside < 1.5e-3, line(below, aside), 0))
-    assert edge == pytest.approx(seen, abs=0.3)
+    assert 0.3 < edge["rim"] < 0.5
