@@ -42,21 +42,21 @@ field of view to the ends."""
 
 
 _WEIGHTS = {
-    "constant": 4.44,
-    "evidence": 1.71,
-    "short": -2.57,
-    "streak": -10.88,
-    "fall": 2.48,
-    "entry gap": -0.34,
-    "tip at edge": -2.31,
-    "width": -0.30,
-    "aside": 8.38,
-    "around": -27.36,
-    "above": -1.02,
-    "outside": 15.32,
-    "behind": -0.81,
-    "border": -0.94,
-    "rim": -6.89,
+    "constant": 1.21,
+    "evidence": 1.89,
+    "short": -4.79,
+    "streak": -6.50,
+    "fall": 2.26,
+    "entry gap": -0.47,
+    "tip at edge": -3.05,
+    "width": 1.90,
+    "aside": 2.35,
+    "around": -25.33,
+    "above": 1.21,
+    "outside": 15.61,
+    "behind": -0.41,
+    "border": -1.18,
+    "rim": -14.20,
 }
 """Weights of a line's looks in the logarithm of the odds that it is a needle, if every second
 volume has one: a logistic regression on the likeliest lines of own scans and painted images, seeds

@@ -30,7 +30,8 @@ class LocatedNeedle(Immutable):
     inlier_count, inlier_ratio
         Number of bright voxels on the needle, and their share of all bright voxels around it.
     confidence
-        Probability that what was found is a needle, judged by this volume alone.
+        Probability that what was found is a needle, judged by this volume alone, if every second
+        volume has one. A guide wire or another needle at rest cannot be told from it.
     covariance
         (3, 3) covariance of the tip, in m^2.
     """
@@ -120,27 +121,9 @@ def locate_in_recording(
     order: int = 2,
     parameters: NeedleLocalizerParameters | None = None,
 ) -> dict[str, Any]:
-    """Locate the needle in a volume of a file, and describe it in the file's coordinates.
+    """Locate the needle in a volume of a file; return figures to print, in LPS and mm.
 
-    Parameters
-    ----------
-    recording
-        Recording with the volume.
-    number
-        Number of the volume.
-    order
-        Order of the curve: 2 for a straight needle, 3 for a bent one.
-    parameters
-        Parameters of the localizer.
-
-    Returns
-    -------
-    Figures to print; positions are in LPS, in mm.
-
-    Raises
-    ------
-    ConfigurationError
-        If there is no such volume.
+    A `ConfigurationError` says that there is no such volume; see `locate` for the others.
     """
     if not 0 <= number < len(recording):
         raise ConfigurationError(
