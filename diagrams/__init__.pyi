@@ -32,11 +32,11 @@ from .needle_tracker import MakeNeedleTracker as MakeNeedleTracker
 from .probe_controller import MakeProbeController as MakeProbeController
 from .probe_controller import ProbeControllerParameters as ProbeControllerParameters
 from .scenario import Scenario as Scenario
+from .scenario import Seeds as Seeds
+from .scenario import draw_seeds as draw_seeds
 from .scenario import require_scenario as require_scenario
 from .scene import MakeReactingTissue as MakeReactingTissue
 from .scene import Scene as Scene
-from .seeds import Seeds as Seeds
-from .seeds import draw_seeds as draw_seeds
 from .shape_predictor import MakeShapePredictor as MakeShapePredictor
 from .shape_predictor import estimate_shape as estimate_shape
 from .station import MakeStation as MakeStation

@@ -4,6 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
+import numpy as np
+
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.typed_yaml import dump_typed
 from sonoservo.systems.signals.requirements import require
@@ -36,6 +38,15 @@ class Scenario:
     description: str = ""
     seed: int = 0
     published_figures: dict[str, float] = field(default_factory=dict)
+
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        # A dataclass would represent itself by its hundreds of fields.
+        cls.__repr__ = Scenario.__repr__  # type: ignore[method-assign]
+
+    def __repr__(self) -> str:
+        name = type(self).__name__
+        return f"<{name} {self.name!r}, seed {self.seed}, {self.duration:g} s; to_yaml() has all>"
 
     def __post_init__(self) -> None:
         own = type(self).experiment
@@ -70,3 +81,24 @@ def require_scenario(scenario: Scenario, wanted: type[ScenarioT]) -> ScenarioT:
             f"one of {wanted.experiment!r} is needed here"
         )
     return scenario
+
+
+@dataclass(frozen=True)
+class Seeds:
+    """Independent random seeds of the parts of a run.
+
+    `tissue`, `insertion`: seeds of the phantom's speckle, and of needle and hand; `noise`: seed of
+    the scanner's noise; `station`: seed of the wrist sensor's noise, or of the tissue's shifts;
+    `tracker`: seed of the random choices of tracker or estimator.
+    """
+
+    tissue: int
+    insertion: int
+    noise: int
+    station: int
+    tracker: int
+
+
+def draw_seeds(scenario: Scenario) -> Seeds:
+    """Return the seeds that follow from a scenario's own."""
+    return Seeds(*(int(each) for each in np.random.SeedSequence(scenario.seed).generate_state(5)))

@@ -1,7 +1,7 @@
 """Scene of a simulated scanner: phantom, needle and transducer, with the probe's pose as input."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Protocol
 
@@ -11,8 +11,7 @@ from pydrake.math import RigidTransform
 from pydrake.systems.framework import Diagram, System
 
 from sonoservo.diagrams.assembly import load_dome_radius
-from sonoservo.diagrams.scenario import Scenario
-from sonoservo.diagrams.seeds import draw_seeds, make_tissue
+from sonoservo.diagrams.scenario import Scenario, draw_seeds
 from sonoservo.systems.needle.insertion import Insertion
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.ports import DiagramBuilder
@@ -29,7 +28,7 @@ from sonoservo.systems.ultrasound.simulation.reaction.tissue_reaction import (
 from sonoservo.systems.ultrasound.simulation.rendering import SweepRenderer
 from sonoservo.systems.ultrasound.simulation.scanner import Scanner
 from sonoservo.systems.ultrasound.simulation.scanner_parameters import ScannerParameters
-from sonoservo.systems.ultrasound.simulation.tissue import Tissue
+from sonoservo.systems.ultrasound.simulation.tissue import Tissue, load_tissue
 from sonoservo.systems.ultrasound.transducer import Transducer, load_transducer
 
 _STEP = 1 / 64
@@ -49,14 +48,8 @@ class _Scanned(Protocol):
 class Acquired:
     """Sweep without a simulation, with the truth at the time of each frame.
 
-    Parameters
-    ----------
-    sweep
-        Acquired sweep.
-    needles
-        Needles in T, moved by the tissue.
-    deformations
-        Deformations of the tissue; None if it does not react.
+    `sweep`: acquired sweep; `needles`: needles in T, moved by the tissue; `deformations`:
+    deformations of the tissue; None if it does not react.
     """
 
     sweep: Sweep
@@ -229,3 +222,9 @@ def MakeReactingTissue(*, hand: System, reaction: TissueReaction) -> Diagram:
     for name in ("needle", "deformation"):
         builder.ExportOutput(reaction.GetOutputPort(name), name)
     return builder.Build()
+
+
+def make_tissue(scenario: Scenario, phantom: str, insertion: Insertion) -> Tissue:
+    """Return a phantom's tissue with the layout and the speckle that a scenario's seed draws."""
+    tissue = load_tissue(phantom).placed(insertion.entry, insertion.direction, scenario.seed)
+    return replace(tissue, seed=draw_seeds(scenario).tissue)

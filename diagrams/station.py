@@ -12,20 +12,25 @@ from pydrake.geometry import Meshcat, MeshcatVisualizer, MeshcatVisualizerParams
 from pydrake.math import RigidTransform
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import AddMultibodyPlant, MultibodyPlantConfig
-from pydrake.systems.framework import Diagram
-from pydrake.systems.primitives import Gain
+from pydrake.systems.framework import Diagram, OutputPort
+from pydrake.systems.primitives import Adder, ConstantVectorSource, Gain
 
 from sonoservo.diagrams.assembly import ARM, PHANTOM, PROBE, assemble_arm, load_probe_body
-from sonoservo.diagrams.measured_pose import add_external_torque, add_measured_pose, add_offset
 from sonoservo.models import model_path
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.typed_yaml import dump_typed
 from sonoservo.systems.robot.arm import AddArmWithProbe, load_arm, set_servo_gains
 from sonoservo.systems.robot.body_pose import BodyPose
 from sonoservo.systems.robot.contact_force import ContactForce
-from sonoservo.systems.robot.errors.calibration import CalibrationParameters, joint_offsets
-from sonoservo.systems.robot.errors.pose_delay import PoseDelayParameters
+from sonoservo.systems.robot.errors.calibration import (
+    CalibrationParameters,
+    hand_eye_error,
+    joint_offsets,
+)
+from sonoservo.systems.robot.errors.pose_delay import PoseDelay, PoseDelayParameters
 from sonoservo.systems.robot.errors.sensor_faults import SensorFault, add_sensor_faults
+from sonoservo.systems.robot.external_torque import ExternalTorque
+from sonoservo.systems.robot.forward_kinematics import ForwardKinematics
 from sonoservo.systems.robot.phantom import AddPhantom, load_contact, set_friction
 from sonoservo.systems.robot.posture import probe_pose, reachable, solve_posture
 from sonoservo.systems.robot.wrist_force_sensor import WristForceSensor, WristSensorParameters
@@ -331,3 +336,73 @@ def MakeStation(
     station = builder.Build()
     station.set_name("station")
     return station
+
+
+def add_offset(
+    builder: DiagramBuilder, port: OutputPort, offset: NDArray[np.float64]
+) -> OutputPort:
+    """Return a port with the values of another one plus a constant, or that port for zero."""
+    if not offset.any():
+        return port
+    adder = builder.AddSystem(Adder(2, len(offset)))
+    constant = builder.AddSystem(ConstantVectorSource(offset))
+    builder.Connect(port, adder.get_input_port(0))
+    builder.Connect(constant.get_output_port(), adder.get_input_port(1))
+    return adder.get_output_port()
+
+
+def add_measured_pose(
+    builder: DiagramBuilder,
+    true_pose: OutputPort,
+    joint_state: OutputPort,
+    *,
+    arm: str,
+    probe: str,
+    calibration: CalibrationParameters,
+    delay: PoseDelayParameters,
+    period: float,
+    seed: int,
+) -> OutputPort:
+    """Add the systems that measure the pose of the probe, and return the port of that pose."""
+    measured = true_pose
+    if calibration.moves_probe:
+        held = assemble_arm(arm, probe, hand_eye_error(calibration, seed))
+        kinematics = ForwardKinematics(plant=held.plant, frame=held.frame)
+        builder.AddNamedSystem("forward_kinematics", kinematics)
+        builder.Connect(joint_state, kinematics.get_input_port())
+        measured = kinematics.get_output_port()
+    if delay != PoseDelayParameters():
+        delayed = PoseDelay(parameters=delay, period=period, seed=seed)
+        builder.AddNamedSystem("pose_delay", delayed)
+        builder.Connect(measured, delayed.get_input_port())
+        measured = delayed.get_output_port()
+    return measured
+
+
+def add_external_torque(
+    builder: DiagramBuilder,
+    joint_state: OutputPort,
+    motor_torque: OutputPort,
+    *,
+    arm: str,
+    probe: str,
+    period: float,
+    seed: int,
+) -> None:
+    """Export what estimates the external torques on the joints, if the arm reports them.
+
+    The arguments are those of `add_measured_pose`, and the port of the motors' torques.
+    """
+    error = load_arm(arm).torque_error
+    if not error:
+        return
+    drives = ExternalTorque(
+        plant=assemble_arm(arm, probe).plant,
+        error=np.array(error),
+        period=period,
+        seed=seed,
+    )
+    builder.AddNamedSystem("external_torque", drives)
+    builder.Connect(joint_state, drives.GetInputPort("joint_state"))
+    builder.Connect(motor_torque, drives.GetInputPort("motor_torque"))
+    builder.ExportOutput(drives.get_output_port(), "external_torque")

@@ -114,16 +114,9 @@ def log_of(bench: Diagram, context: Context, compute: Mapping[str, Any] | None =
 class Sample:
     """A volume as a source hands it over.
 
-    Parameters
-    ----------
-    volume
-        Next volume.
-    X_WL
-        Pose of the frame L in which the source states positions; None for the probe's.
-    observed
-        Values of further inputs of the log, by port: truth for comparison only.
-    read_s
-        Time that the source needed for the volume, in s.
+    `volume`: next volume; `X_WL`: pose of the frame L in which the source states positions; None
+    for the probe's; `observed`: values of further inputs of the log, by port: truth for comparison
+    only; `read_s`: time that the source needed for the volume, in s.
     """
 
     volume: Volume
@@ -136,18 +129,9 @@ class Sample:
 class Tracked:
     """A volume that has been tracked, as a sink receives it.
 
-    Parameters
-    ----------
-    number
-        Number of the volume, from 0.
-    sample
-        Volume and what its source knows of it.
-    estimate
-        Estimate after the volume.
-    X_WL
-        Pose of the source's frame L, corrected as the volume's poses are.
-    track_s
-        Time that the tracker needed, in s.
+    `number`: number of the volume, from 0; `sample`: volume and what its source knows of it;
+    `estimate`: estimate after the volume; `X_WL`: pose of the source's frame L, corrected as the
+    volume's poses are; `track_s`: time that the tracker needed, in s.
     """
 
     number: int
@@ -254,22 +238,8 @@ class TrackerBench:
         """Return the pose of a frame L of the newest volume, corrected as its poses are."""
         if not self.corrects_poses:
             return X_WL
-        return corrected_frame(self._tracker, self._own, volume, X_WL)
-
-
-def corrected_frame(
-    tracker: System, context: Context, volume: Volume, X_WL: RigidTransform
-) -> RigidTransform:
-    """Return the pose of a frame L after a tracker has corrected the poses of a volume."""
-    corrected: Volume = tracker.GetOutputPort("corrected_volume").Eval(context)
-    return corrected.X_WP.multiply(volume.X_WP.inverse()).multiply(X_WL)
-
-
-def track_volume(tracker: System, context: Context, volume: Volume) -> NeedleEstimate:
-    """Give a tracker its next volume, outside a simulation, and return the estimate."""
-    tracker.GetInputPort("volume").FixValue(context, Value[object](volume))
-    tracker.ExecuteForcedEvents(context)
-    return cast(NeedleEstimate, tracker.GetOutputPort("estimate").Eval(context))
+        corrected: Volume = self.evaluate("corrected_volume")
+        return corrected.X_WP.multiply(volume.X_WP.inverse()).multiply(X_WL)
 
 
 def track(

@@ -20,15 +20,14 @@ from pydrake.systems.sensors import CameraInfo
 
 from sonoservo.diagrams import load_scenario, make_experiment
 from sonoservo.systems.display.shapes import sector_edges
-from sonoservo.systems.evaluation import write_movie
 from sonoservo.systems.evaluation.reports.key_frames import ESTIMATE, TRUTH, true_needle
 from sonoservo.systems.evaluation.run_errors import at_times, features
 
-PATH = Path(__file__).with_name("needle.gif")
-WORLD, SLICE = (430, 400), (230, 184)
+PATH = Path(__file__).with_name("needle.webp")
+WORLD, SLICE = (560, 500), (330, 246)
 FIRST, LAST, RATE = 7.5, 22.0, 6.0
-CAMERA, TARGET, FIELD_OF_VIEW = [0.80, -0.62, 0.44], [0.47, 0.0, 0.20], np.radians(34)
-GREYS = 16
+CAMERA, TARGET, FIELD_OF_VIEW = [1.05, -0.95, 0.62], [0.28, 0.0, 0.43], np.radians(42)
+QUALITY = 60
 BACKGROUND, INK, SECTOR = (245, 246, 248), (40, 44, 52), (90, 120, 170)
 
 
@@ -112,11 +111,10 @@ def draw_slice(plane, true):
     left, right, bottom, top = plane.extent
     scale = min(SLICE[0] / (right - left), SLICE[1] / (bottom - top))
     size = round(scale * (right - left)), round(scale * (bottom - top))
-    grey = Image.fromarray(plane.grey).resize(size, Image.Resampling.BOX)
-    levels = np.asarray(grey).astype(int) * (GREYS - 1) // 255 * 255 // (GREYS - 1)
+    grey = Image.fromarray(plane.grey).resize(size, Image.Resampling.BILINEAR)
     picture = Image.new("RGB", SLICE)
     at = (SLICE[0] - size[0]) // 2, (SLICE[1] - size[1]) // 2
-    picture.paste(Image.fromarray(levels.astype(np.uint8)).convert("RGB"), at)
+    picture.paste(grey.convert("RGB"), at)
     draw = ImageDraw.Draw(picture)
     for points, colour in ((plane.project(true), TRUTH), (plane.needle, ESTIMATE)):
         line = [tuple(at + scale * (each - [left, top])) for each in points]
@@ -129,19 +127,19 @@ def draw_slice(plane, true):
 
 def frames(experiment, worlds):
     """Yield the frames."""
-    log, font = experiment.log(), ImageFont.load_default(size=15)
+    log, font = experiment.log(), ImageFont.load_default(size=18)
     errors = features(log.X_WP, log.needle_tip, log.needle_entry)
     for volume, time in enumerate(log.volume_time):
         taken = min(experiment.pictures, key=lambda each: abs(each.time - time))
         if taken.time not in worlds:
             continue
-        frame = Image.new("RGB", (WORLD[0] + SLICE[0] + 6, WORLD[1] + 32), BACKGROUND)
+        frame = Image.new("RGB", (WORLD[0] + SLICE[0] + 6, WORLD[1] + 36), BACKGROUND)
         world = worlds[taken.time].copy()
         draw_world(world, log, volume, experiment.scanner.geometry)
-        frame.paste(world, (0, 32))
+        frame.paste(world, (0, 36))
         for row, plane in enumerate(taken.planes):
             picture = draw_slice(plane, true_needle(log, volume))
-            frame.paste(picture, (WORLD[0] + 6, 32 + row * (SLICE[1] + 8)))
+            frame.paste(picture, (WORLD[0] + 6, 36 + row * (SLICE[1] + 8)))
         x, z, theta = at_times(log, errors, np.array([time]))[0]
         text = f"{time:4.1f} s  {taken.mode}"
         if np.isfinite(x):
@@ -149,15 +147,19 @@ def frames(experiment, worlds):
                 f"   X {1e3 * x:+.0f} mm   Z {1e3 * z:+.0f} mm   Theta {np.degrees(theta):+.0f} deg"
             )
         draw = ImageDraw.Draw(frame)
-        draw.text((10, 7), text, font=font, fill=INK)
-        draw.text((WORLD[0] + 16, 7), "true", font=font, fill=TRUTH)
-        draw.text((WORLD[0] + 60, 7), "estimate", font=font, fill="#B87F00")
-        yield np.asarray(frame)
+        draw.text((10, 8), text, font=font, fill=INK)
+        draw.text((WORLD[0] + 16, 8), "true", font=font, fill=TRUTH)
+        draw.text((WORLD[0] + 68, 8), "estimate", font=font, fill="#B87F00")
+        yield frame
 
 
 def main(path=PATH, last=LAST):
     """Write the moving picture."""
-    write_movie(path, frames(*simulate(last)), RATE)
+    first, *others = frames(*simulate(last))
+    first.save(
+        path, save_all=True, append_images=others, duration=round(1e3 / RATE), loop=0,
+        quality=QUALITY, method=6,
+    )  # fmt: skip
     print(f"written: {path}, {path.stat().st_size / 1e6:.1f} MB")
 
 

@@ -31,7 +31,7 @@ def main() -> None:
     with sync_playwright() as playwright, Site() as site:
         browser = launch(playwright)
         meshcat = open_meshcat(site)
-        scenario = load_scenario("chatelain2013_fig5", changes=["duration=14"])
+        scenario = load_scenario("chatelain2013_fig5", changes=["duration=24"])
         title = f"{scenario.name}, seed {scenario.seed}"
         console = Console(site, title=title, world="world")
         page = browser.new_page(viewport={"width": 1280, "height": 800})

@@ -22,6 +22,7 @@ PACKAGES = sorted(
 WITHOUT = {
     "models": "its one function stands in its __init__",
     "systems": "a folder of rooms",
+    "systems.display": "a folder of rooms",
     "systems.sampling": "compiled loops that only the rooms beside it call",
     "systems.ultrasound.simulation.kernels": "compiled loops that only the renderer calls",
 }

@@ -15,6 +15,7 @@ from typing import Annotated
 import typer
 from typer.main import get_command
 
+from sonoservo.diagrams.app.commands.benchmark import benchmark_command
 from sonoservo.diagrams.app.commands.results import (
     compare_command,
     explain_command,
@@ -33,16 +34,14 @@ from sonoservo.diagrams.app.interruption import INTERRUPTED, is_interrupted
 from sonoservo.diagrams.app.options import (
     ChangesOption,
     ExplainOption,
-    HostOption,
-    JsonOption,
-    OpenOption,
-    OutOption,
+    Page,
+    Results,
     ScenarioArgument,
     SeedOption,
-    ServeOption,
-    WaitOption,
+    Serving,
     console,
     free_folder,
+    say,
     say_report,
     waiting,
     with_common_options,
@@ -92,12 +91,12 @@ def compile_command(
 
 def run_command(
     scenario: ScenarioArgument,
+    page: Page,
+    serve: Serving,
+    results: Results,
     changes: ChangesOption = None,
     seed: SeedOption = None,
-    out: OutOption = None,
     meshcat: Annotated[bool, typer.Option(help="Show the run in a browser, in real time.")] = True,
-    host: HostOption = "localhost",
-    open_page: OpenOption = True,
     record: Annotated[
         Path | None, typer.Option(help="Record the volumes and the truth to NAME.seq.nrrd.")
     ] = None,
@@ -120,33 +119,30 @@ def run_command(
     click: Annotated[
         bool, typer.Option("--click", help="Shape prediction: click on the needle at the start.")
     ] = False,
-    serve: ServeOption = None,
-    wait_for: WaitOption = 0,
-    json_path: JsonOption = None,
 ) -> None:
     """Run a scenario and write its results; exit status 3: stopped for good, or no contact."""
     with console.status("Loading the simulator ..."):
-        from sonoservo.diagrams.app.live.commands import serving
+        from sonoservo.diagrams.app.live.serve import serving
         from sonoservo.diagrams.app.run import run
         from sonoservo.diagrams.app.run_result import end_words, summary_table
         from sonoservo.diagrams.app.terminal import Progress, end_run
         from sonoservo.diagrams.experiments.registry import load_scenario
 
         loaded = load_scenario(scenario, changes=changes, seed=seed, as_published=as_published)
-    folder = out or free_folder(f"{loaded.name}_seed{loaded.seed}")
+    folder = results.out or free_folder(f"{loaded.name}_seed{loaded.seed}")
     if click:
         from sonoservo.diagrams.app.pages.first_click import ask_click
 
-        loaded = ask_click(loaded, console, host=host, by_itself=open_page)
+        loaded = ask_click(loaded, console, host=page.host, by_itself=page.open_page)
     pages = None
     if meshcat:
         from sonoservo.diagrams.app.pages.pages import open_pages
 
         title = f"{loaded.name}, seed {loaded.seed}"
-        pages = open_pages(console, title, host=host, by_itself=open_page)
+        pages = open_pages(console, title, host=page.host, by_itself=page.open_page)
     with (
         waiting(f"Simulating {loaded.duration:g} s ...", shown=False),
-        serving(console, serve, loaded, wait_for) as observers,
+        serving(serve, loaded, say) as observers,
         Progress(console, loaded) as progress,
     ):
         result = run(
@@ -165,7 +161,7 @@ def run_command(
         )
     console.print(summary_table(result))
     say_report(folder)
-    write_printed(json_path, result.summary)
+    write_printed(results.json_path, result.summary)
     if pages:
         pages.end(console, end_words(result), folder / "report.html")
     if not result.failure and result.summary["interrupted"]:
@@ -174,15 +170,13 @@ def run_command(
 
 
 def drive_command(
+    page: Page,
+    serve: Serving,
+    results: Results,
     scenario: ScenarioArgument = "drive",
     changes: ChangesOption = None,
     seed: SeedOption = None,
     duration: Annotated[float, typer.Option(help="Maximum simulated time, in s.")] = 600.0,
-    out: OutOption = None,
-    host: HostOption = "localhost",
-    open_page: OpenOption = True,
-    serve: ServeOption = None,
-    json_path: JsonOption = None,
 ) -> None:
     """Push the needle, move the phantom and set the controller yourself, in a browser.
 
@@ -193,7 +187,7 @@ def drive_command(
     with console.status("Loading the simulator ..."):
         from sonoservo.diagrams.app.drive import DRIVING, drive
         from sonoservo.diagrams.app.kept_runs.kept_run import refusing
-        from sonoservo.diagrams.app.live.commands import serving
+        from sonoservo.diagrams.app.live.serve import serving
         from sonoservo.diagrams.app.pages.pages import open_pages
         from sonoservo.diagrams.app.run_result import end_words, summary_table
         from sonoservo.diagrams.app.terminal import Progress, end_run
@@ -205,12 +199,12 @@ def drive_command(
     following = require_scenario(loaded, FollowingScenario)
     with refusing(loaded):
         following = replace(following, duration=duration)
-    folder = out or Path("out") / f"{loaded.name}_driven_seed{loaded.seed}"
+    folder = results.out or Path("out") / f"{loaded.name}_driven_seed{loaded.seed}"
     title = f"{loaded.name}, driven"
-    pages = open_pages(console, title, host=host, by_itself=open_page)
+    pages = open_pages(console, title, host=page.host, by_itself=page.open_page)
     console.print(DRIVING)
     with (
-        serving(console, serve, following) as observers,
+        serving(serve, following, say) as observers,
         Progress(console, following) as progress,
     ):
         result = drive(
@@ -225,12 +219,13 @@ def drive_command(
     say_report(folder)
     again = f"sonoservo run {folder / 'scenario.yaml'}"
     console.print(f"To repeat this run: {again}", soft_wrap=True)
-    write_printed(json_path, result.summary)
+    write_printed(results.json_path, result.summary)
     pages.end(console, end_words(result), folder / "report.html")
     end_run(result)
 
 
 def scan_command(
+    results: Results,
     scenario: Annotated[
         str | None,
         typer.Argument(help="A name from `sonoservo list`, or a YAML file; fig. 5 by default."),
@@ -245,8 +240,6 @@ def scan_command(
     ] = None,
     changes: ChangesOption = None,
     seed: SeedOption = None,
-    out: OutOption = None,
-    json_path: JsonOption = None,
 ) -> None:
     """Acquire one sweep; write it as a picture and as a volume for 3D Slicer."""
     from sonoservo.diagrams.app.scan import scan, summarize_scan, write_scan
@@ -263,7 +256,7 @@ def scan_command(
     following = require_scenario(loaded, FollowingScenario)
     result = scan(following, time=time)
     summary = summarize_scan(result, following)
-    folder = out or free_folder(f"{loaded.name}_seed{loaded.seed}_scan")
+    folder = results.out or free_folder(f"{loaded.name}_seed{loaded.seed}_scan")
     paths = write_scan(result, folder)
     console.print(result.caption, soft_wrap=True)
     console.print(
@@ -271,7 +264,7 @@ def scan_command(
         f"tissue. Written: {', '.join(map(str, paths))}",
         soft_wrap=True,
     )
-    write_printed(json_path, summary)
+    write_printed(results.json_path, summary)
 
 
 _COMMANDS = (
@@ -292,6 +285,7 @@ _COMMANDS = (
     calibrate_command,
     dataset_command,
     reproduce_command,
+    benchmark_command,
 )
 for _command in _COMMANDS:
     app.command(_command.__name__.removesuffix("_command"))(with_common_options(_command))

@@ -61,19 +61,7 @@ MORE_TASKS: tuple[Callable[[], None], ...] = (compile_shape_prediction, compile_
 
 
 def compile_kernels(*, everything: bool = False) -> Iterator[str]:
-    """Compile the kernels of runs and trackers, two at a time, unless they are compiled already.
-
-    Compiled kernels are kept in files beside the source.
-
-    Parameters
-    ----------
-    everything
-        Whether to compile what `MORE_TASKS` need, too.
-
-    Yields
-    ------
-    A line of text about each part, when it is done.
-    """
+    """Compile the kernels of runs and trackers, two at a time, and yield a line about each part."""
     start = time.perf_counter()
     # Two, as they take turns in keeping the compiler busy; each takes some hundred MB.
     processes = min(2, os.cpu_count() or 1)

@@ -1,12 +1,18 @@
-"""Options shared by several commands of ``sonoservo``, and their console."""
+"""Options of the commands of ``sonoservo``, a dataclass for each concern, and their console.
+
+A dataclass is both what the parser offers, as a panel of the help, and what the functions take.
+"""
 
 import inspect
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
-from functools import wraps
+from copy import copy
+from dataclasses import dataclass, fields, is_dataclass
+from functools import partial, wraps
 from itertools import chain, count
 from pathlib import Path
-from typing import Annotated, Any
+from types import UnionType
+from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
 
 import typer
 from rich.console import Console
@@ -14,6 +20,7 @@ from rich.console import Console
 from sonoservo.systems.files.memory import DEFAULT_MEMORY_GB, set_memory_budget
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.writing import to_json, write_json
+from sonoservo.systems.signals.requirements import Bounded, Positive, above
 
 console = Console(markup=False, emoji=False)
 """Console of all commands. It takes no markup, because paths may contain square brackets."""
@@ -52,111 +59,21 @@ JsonOption = Annotated[
     Path | None,
     typer.Option("--json", help="Also write the printed figures to this file; - prints only them."),
 ]
-HostOption = Annotated[
-    str, typer.Option(help="Address to serve the page on; * for all addresses of this machine.")
-]
-OpenOption = Annotated[
-    bool, typer.Option("--open/--no-open", help="Open the page in the browser of this desktop.")
-]
-DepthOption = Annotated[
-    str,
-    typer.Option(help="Direction of the sound in the file's space: L, R, P, A, S or I."),
-]
-WindowOption = Annotated[
-    tuple[float, float] | None,
-    typer.Option(help="Numbers shown as black and white; by default, from the first volumes."),
-]
-OrderOption = Annotated[
-    int, typer.Option(min=2, max=3, help="Order of the curve: 2 straight, 3 bent.")
-]
-DynamicRangeOption = Annotated[
-    float | None, typer.Option(help="dB from black to white; by default, from the file or 60.")
-]
-RateOption = Annotated[
-    float | None, typer.Option(help="Volumes per second, for a file without times.")
-]
+WaitOption = Annotated[int, typer.Option(min=0, help="Live: number of peers to wait for.")]
 ExplainOption = Annotated[
     bool,
     typer.Option(
         "--explain", help="Keep what the tracker saw around a loss; see `sonoservo explain`."
     ),
 ]
-PosesOption = Annotated[
-    str | None,
-    typer.Option(
-        help="Transforms that lead from the image or probe to a fixed frame, with commas between "
-        "them, or the ends of such a chain (ImageToReference), or none; by default, it is found."
-    ),
+HostOption = Annotated[
+    str, typer.Option(help="Address to serve the page on; * for all addresses of this machine.")
 ]
-PlusConfigOption = Annotated[
-    Path | None,
-    typer.Option(
-        "--plus-config",
-        help="Configuration of PLUS (.xml) with the transforms and the images' orientation.",
-    ),
+OpenOption = Annotated[
+    bool, typer.Option("--open/--no-open", help="Open the page in the browser of this desktop.")
 ]
-CalibrationOption = Annotated[
-    str | None,
-    typer.Option(
-        help="ImageToProbe in mm: 16 numbers, row by row, or a file with them; "
-        "NAME=... for another transform."
-    ),
-]
-VoidOption = Annotated[
-    float | None,
-    typer.Option(help="Number that stands for what was not seen, such as 0, -32768 or nan."),
-]
-LuminanceOption = Annotated[
-    bool,
-    typer.Option("--luminance", help="Take the luminance of colours as grey levels."),
-]
-ClockOffsetOption = Annotated[
-    float | None,
-    typer.Option(
-        "--clock-offset",
-        help="Live: time stamps of the poses minus those of images taken at the same time, in s; "
-        "by default 0, or what the times of arrival tell.",
-    ),
-]
-ServeOption = Annotated[
-    str | None,
-    typer.Option(help="Send all data live; igtl://:18944 lets programs on this machine connect."),
-]
-WaitOption = Annotated[int, typer.Option(min=0, help="Live: number of peers to wait for.")]
-ReconstructOption = Annotated[
-    bool,
-    typer.Option("--reconstruct", help="Reconstruct volumes from tracked 2D frames, as of PLUS."),
-]
-MotorOption = Annotated[
-    Path | None, typer.Option(help="Live 2D frames of a motorised probe: YAML file of its sweep.")
-]
-FramesOption = Annotated[
-    int | None, typer.Option(help="Frames per volume; by default, one sweep in either direction.")
-]
-SpacingOption = Annotated[float, typer.Option(help="Size of reconstructed voxels, in mm.")]
-VolumesOption = Annotated[int | None, typer.Option(help="Live: end after this many volumes.")]
-PatienceOption = Annotated[
-    float | None, typer.Option(help="Live: end if no volume arrives for this long, in s.")
-]
-
 DebugOption = Annotated[
     bool, typer.Option("--debug", help="Show the traceback of an error.", show_default=False)
-]
-BeamWidthOption = Annotated[
-    float | None,
-    typer.Option(
-        "--beam-width",
-        help="Width of the beam along the needle in mm, for volumes that do not carry it; by "
-        "default, it is measured from the speckle.",
-    ),
-]
-EchoOffsetOption = Annotated[
-    float | None,
-    typer.Option(
-        "--echo-offset",
-        help="Distance in mm from the centre of the needle's echo to its axis, if known; "
-        "about two thirds of its radius.",
-    ),
 ]
 MemoryOption = Annotated[
     float | None,
@@ -166,37 +83,302 @@ MemoryOption = Annotated[
 ]
 
 
-def with_common_options(command: Callable[..., None]) -> Callable[..., None]:
-    """Return a command with the options that all have: ``--debug`` and ``--max-memory``.
+def _metres(given: Any) -> float:
+    """Return a length in m of a text in mm; a default is in m already."""
+    return 1e-3 * float(given) if isinstance(given, str) else given
 
-    An error carries the choice of ``--debug`` and the command's name to
-    `sonoservo.diagrams.app.cli.run_arguments` as its attributes ``debug`` and ``command``.
+
+def millimetres(name: str, help: str, default: str | None = None) -> Any:
+    """Return an option for a length that a person gives in mm; its value is in m."""
+    return typer.Option(
+        name, parser=_metres, metavar="MM", help=help, show_default=default or False
+    )
+
+
+@dataclass(kw_only=True)
+class Volumes:
+    """Volumes."""
+
+    depth: Annotated[
+        str, typer.Option(help="Direction of the sound in the file's space: L, R, P, A, S or I.")
+    ] = "P"
+    volume_rate: Annotated[
+        float | None, typer.Option(help="Volumes per second, for a file without times.")
+    ] = None
+
+
+@dataclass(kw_only=True)
+class Poses:
+    """Poses."""
+
+    poses: Annotated[
+        str | None,
+        typer.Option(
+            help="Transforms that lead from the image or probe to a fixed frame, with commas "
+            "between them, or the ends of such a chain (ImageToReference), or none; by default, "
+            "it is found."
+        ),
+    ] = None
+    plus_config: Annotated[
+        Path | None,
+        typer.Option(
+            help="Configuration of PLUS (.xml) with the transforms and the images' orientation."
+        ),
+    ] = None
+    calibration: Annotated[
+        str | None,
+        typer.Option(
+            help="ImageToProbe in mm: 16 numbers, row by row, or a file with them; "
+            "NAME=... for another transform."
+        ),
+    ] = None
+    clock_offset: Annotated[
+        float | None,
+        typer.Option(
+            help="Live: time stamps of the poses minus those of images taken at the same time, in "
+            "s; by default 0, or what the times of arrival tell."
+        ),
+    ] = None
+
+
+@dataclass(kw_only=True)
+class GreyLevels:
+    """Grey levels."""
+
+    window: Annotated[
+        tuple[float, float] | None,
+        typer.Option(help="Numbers shown as black and white; by default, from the first volumes."),
+    ] = None
+    dynamic_range_db: Annotated[
+        float | None, typer.Option(help="dB from black to white; by default, from the file or 60.")
+    ] = None
+    void: Annotated[
+        float | None,
+        typer.Option(help="Number that stands for what was not seen, such as 0, -32768 or nan."),
+    ] = None
+    luminance: Annotated[
+        bool, typer.Option("--luminance", help="Take the luminance of colours as grey levels.")
+    ] = False
+
+
+@dataclass(kw_only=True)
+class Reading(GreyLevels, Poses, Volumes):
+    """Reading of volumes from a file or a connection."""
+
+    def refuse_for_streams(self) -> None:
+        """Refuse what only files have."""
+        for name in ("plus_config", "calibration", "void", "luminance"):
+            if getattr(self, name) not in (None, False):
+                option = name.replace("_", "-")
+                raise ConfigurationError(
+                    f"--{option}: it is for files, and the source is a connection"
+                )
+
+
+@dataclass(kw_only=True)
+class Frames:
+    """Volumes of 2D frames."""
+
+    reconstruct: Annotated[
+        bool,
+        typer.Option(
+            "--reconstruct", help="Reconstruct volumes from tracked 2D frames, as of PLUS."
+        ),
+    ] = False
+    motor: Annotated[
+        Path | None,
+        typer.Option(help="Live 2D frames of a motorised probe: YAML file of its sweep."),
+    ] = None
+    frames: Annotated[
+        int | None,
+        typer.Option(help="Frames per volume; by default, one sweep in either direction."),
+    ] = None
+    spacing: Annotated[
+        float, millimetres("--spacing", "Size of reconstructed voxels, in mm.", "0.7")
+    ] = 7e-4
+
+
+@dataclass(kw_only=True)
+class ReadingFrames(Frames, Reading):
+    """Reading of volumes, or of 2D frames that volumes are made of."""
+
+
+@dataclass(kw_only=True)
+class Curve:
+    """Needle."""
+
+    order: Annotated[
+        int, typer.Option(min=2, max=3, help="Order of the curve: 2 straight, 3 bent.")
+    ] = 2
+    beam_width: Annotated[
+        float | None,
+        millimetres(
+            "--beam-width",
+            "Width of the beam along the needle in mm, for volumes that do not carry it; by "
+            "default, it is measured from the speckle.",
+        ),
+    ] = None
+    echo_offset: Annotated[
+        float | None,
+        millimetres(
+            "--echo-offset",
+            "Distance in mm from the centre of the needle's echo to its axis, if known; about two "
+            "thirds of its radius.",
+        ),
+    ] = None
+
+
+@dataclass(kw_only=True)
+class Tracker(Curve):
+    """Tracker."""
+
+    tracker: Annotated[
+        str, typer.Option(help="Name of a tracker, such as chatelain2013 or zhao2012.")
+    ] = "chatelain2013"
+    start: Annotated[
+        str, typer.Option(help="search: wait for an insertion; anywhere: look in whole volumes.")
+    ] = "search"
+    seed: Annotated[
+        int | None, typer.Option(min=0, help="Random seed; by default, the recorder's.")
+    ] = None
+    correct_poses: Annotated[
+        bool,
+        typer.Option(
+            "--correct-poses",
+            help="Correct the delay and the calibration of the poses; see calibrate.",
+        ),
+    ] = False
+
+
+@dataclass(kw_only=True)
+class LiveLimits(Bounded):
+    """Limits of a live connection."""
+
+    volumes: Annotated[
+        Annotated[int, above(0)] | None, typer.Option(help="Live: end after this many volumes.")
+    ] = None
+    patience: Annotated[
+        Positive | None,
+        typer.Option(help="Live: end if no volume arrives for this long, in s."),
+    ] = None
+
+
+@dataclass(kw_only=True)
+class Sending:
+    """Sending live."""
+
+    serve: Annotated[
+        list[str] | None,
+        typer.Option(help="Live: address to send estimates to; the source's own is allowed."),
+    ] = None
+    names: Annotated[
+        list[str] | None,
+        typer.Option("--name", help="Live: device names: tip=, curve=, status=, covariance=."),
+    ] = None
+    points: Annotated[
+        bool, typer.Option("--points", help="Live: send control points (POINT) in place of a line.")
+    ] = False
+
+
+@dataclass(kw_only=True)
+class Serving:
+    """Sending live."""
+
+    serve: Annotated[
+        str | None,
+        typer.Option(
+            help="Send all data live; igtl://:18944 lets programs on this machine connect."
+        ),
+    ] = None
+    wait_for: WaitOption = 0
+
+
+@dataclass(kw_only=True)
+class Page:
+    """Page in the browser."""
+
+    host: HostOption = "localhost"
+    open_page: OpenOption = True
+
+
+@dataclass(kw_only=True)
+class Results:
+    """Results."""
+
+    out: OutOption = None
+    json_path: JsonOption = None
+
+
+def with_common_options(command: Callable[..., None]) -> Callable[..., None]:
+    """Return a command with the options that all have, and its dataclasses' fields as options.
+
+    Each parameter of a dataclass's type gives way to the fields of the dataclass, in a panel of the
+    help that has the name of the class which defines them. An error carries the choice of
+    ``--debug`` and the command's name to `sonoservo.diagrams.app.cli.run_arguments` as its
+    attributes ``debug`` and ``command``.
     """
+    hints = get_type_hints(command, include_extras=True)
+    parameters: dict[str, tuple[Any, Any]] = {}
+    concerns: dict[str, Any] = {}
+    for name, each in inspect.signature(command).parameters.items():
+        if is_dataclass(hints[name]):
+            concerns[name] = hints[name]
+            parameters |= _options_of(hints[name])
+        else:
+            parameters[name] = hints[name], each.default
+    parameters |= {"debug": (DebugOption, False), "max_memory": (MemoryOption, None)}
 
     @wraps(command)
-    def run(*args: Any, debug: bool, max_memory: float | None, **options: Any) -> None:
+    def run(*, debug: bool, max_memory: float | None, **options: Any) -> None:
         try:
             for name, value in options.items():
                 _require_text(name, value)
             with set_memory_budget(max_memory, "--max-memory"):
                 console.stderr = options.get("json_path") == _STANDARD_OUTPUT
-                command(*args, **options)
+                made = {name: _made(schema, options) for name, schema in concerns.items()}
+                command(**options, **made)
         except BaseException as error:
             error.debug = debug  # type: ignore[attr-defined]
             error.command = command.__name__  # type: ignore[attr-defined]
             raise
 
-    common = {"debug": (DebugOption, False), "max_memory": (MemoryOption, None)}
-    signature = inspect.signature(command)
-    parameters = [
-        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=each)
-        for name, (each, default) in common.items()
-    ]
-    parameters = [*signature.parameters.values(), *parameters]
-    run.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
-    hints = {name: each for name, (each, _) in common.items()}
-    run.__annotations__ = {**command.__annotations__, **hints}
+    keyword = partial(inspect.Parameter, kind=inspect.Parameter.KEYWORD_ONLY)
+    run.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
+        [
+            keyword(name, default=default, annotation=hint)
+            for name, (hint, default) in parameters.items()
+        ]
+    )
+    run.__annotations__ = {name: hint for name, (hint, _) in parameters.items()}
     return run
+
+
+def _options_of(schema: Any) -> dict[str, tuple[Any, Any]]:
+    """Return annotation and default of the option that each field of a dataclass stands for."""
+    options = {}
+    hints = get_type_hints(schema, include_extras=True)
+    for each in fields(schema):
+        owner = next(c for c in schema.__mro__ if each.name in vars(c).get("__annotations__", {}))
+        option = copy(hints[each.name].__metadata__[-1])
+        option.rich_help_panel = owner.__doc__.rstrip(".")
+        options[each.name] = Annotated[_plain(hints[each.name].__origin__), option], each.default
+    return options
+
+
+def _plain(hint: Any) -> Any:
+    """Return a type without its bounds, which the dataclass checks."""
+    if get_origin(hint) is Annotated:
+        return hint.__origin__
+    inner = tuple(map(_plain, get_args(hint)))
+    return inner[0] | inner[1] if get_origin(hint) in (Union, UnionType) else hint
+
+
+def _made(schema: Any, options: dict[str, Any]) -> Any:
+    """Return a dataclass of the options that are its fields, which are taken out."""
+    try:
+        return schema(**{each.name: options.pop(each.name) for each in fields(schema)})
+    except ValueError as error:
+        raise ConfigurationError(str(error)) from error
 
 
 def _require_text(name: str, value: object) -> None:
@@ -211,10 +393,15 @@ def _require_text(name: str, value: object) -> None:
                 ) from error
 
 
+def say(line: str) -> None:
+    """Print a line as it is: without markup, colours or folding."""
+    console.print(line, soft_wrap=True, highlight=False)
+
+
 def say_notes(*notes: str) -> None:
     """Print what a person should know about how a file was read."""
     for note in notes:
-        console.print(f"{note[:1].upper()}{note[1:]}.", soft_wrap=True, highlight=False)
+        say(f"{note[:1].upper()}{note[1:]}.")
 
 
 def say_report(folder: Path) -> None:

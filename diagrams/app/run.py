@@ -162,15 +162,7 @@ def run(
 
 
 def finish(kept: KeptRun, experiment: Experiment[Any]) -> RunResult:
-    """Summarise a run that has ended, and write its output files.
-
-    Parameters
-    ----------
-    kept
-        Run that has ended.
-    experiment
-        Its experiment.
-    """
+    """Summarise a run that has ended, and write its output files."""
     log = experiment.log()
     summary = kept.summary(experiment.time, experiment.summarize(log))
     kept.write_summary(summary)

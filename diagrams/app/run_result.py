@@ -52,13 +52,7 @@ class RunResult:
     plots: Mapping[str, tuple[str, Figure]] = field(default_factory=dict)
 
     def plot(self) -> Figure:
-        """Return the run's first plot, which a notebook shows.
-
-        Raises
-        ------
-        ValueError
-            If the run was too short for one.
-        """
+        """Return the run's first plot, which a notebook shows, if it was long enough."""
         if not self.plots:
             raise ValueError("the run was too short for a plot")
         _, figure = next(iter(self.plots.values()))

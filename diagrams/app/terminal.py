@@ -22,14 +22,7 @@ from sonoservo.systems.signals.needle_estimate import NeedleEstimate
 
 
 def end_run(result: RunResult) -> None:
-    """Raise the error of a file that could not be written, if any, or set the exit status.
-
-    Raises
-    ------
-    typer.Exit
-        With status 3, if the guard had stopped the robot at the end, or the probe never touched the
-        body.
-    """
+    """Raise a file's error, if any; exit with 3 if stopped by the guard, or never in contact."""
     if result.failure is not None:
         raise result.failure
     if run_outcome(result.summary) in (RunOutcome.STOPPED, RunOutcome.UNTOUCHED):

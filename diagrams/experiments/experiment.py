@@ -192,6 +192,11 @@ class Experiment(ABC, Generic[ScenarioT]):
         self._simulator.ResetStatistics()
 
     @property
+    def simulator(self) -> Simulator:
+        """Simulator of the diagram, for a program that advances it by itself."""
+        return self._simulator
+
+    @property
     def time(self) -> float:
         """Simulated time so far, in s."""
         return self._simulator.get_context().get_time()

@@ -21,8 +21,7 @@ from sonoservo.diagrams.experiments.following_scene import (
 )
 from sonoservo.diagrams.needle_tracker import MakeNeedleTracker, require_tracker
 from sonoservo.diagrams.probe_controller import MakeProbeController
-from sonoservo.diagrams.scenario import Scenario, require_scenario
-from sonoservo.diagrams.seeds import draw_seeds
+from sonoservo.diagrams.scenario import Scenario, draw_seeds, require_scenario
 from sonoservo.diagrams.station import MakeStation
 from sonoservo.systems.control.operator_settings import OperatorSettings
 from sonoservo.systems.display.console.console_feed import ConsoleFeed

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from sonoservo.diagrams.assembly import load_probe_body
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
-from sonoservo.diagrams.seeds import draw_seeds
+from sonoservo.diagrams.scenario import draw_seeds
 from sonoservo.diagrams.station import ProbePlacement, check_reach
 from sonoservo.systems.needle.insertion import Insertion
 from sonoservo.systems.needle.insertion_parameters import (

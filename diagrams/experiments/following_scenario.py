@@ -60,7 +60,8 @@ class FollowingScenario(Scenario):
         Reaction of the tissue to probe and needle.
     needle
         Kind of needle: name of a file in models/needles, or a path. It sets ``hand.gauge`` and
-        ``scanner.needle`` where the scenario does not.
+        ``scanner.needle`` where the scenario does not. "drawn" draws kind, gauge, rough level and
+        clutter by the seed, below 100 from other kinds than above.
     hand
         Needle, and how it is pushed.
     probe

@@ -1,4 +1,4 @@
-"""What surrounds a run of following: its scene, the times of its volumes, and its sources."""
+"""Surroundings of a run of following: its scene, the times of its volumes, and its sources."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -12,9 +12,8 @@ from sonoservo.diagrams.experiments.following_insertion import (
 )
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
 from sonoservo.diagrams.probe_controller import ProbeControllerParameters
-from sonoservo.diagrams.scenario import Scenario, require_scenario
+from sonoservo.diagrams.scenario import Scenario, draw_seeds, require_scenario
 from sonoservo.diagrams.scene import Scene
-from sonoservo.diagrams.seeds import draw_seeds
 from sonoservo.systems.control.operator_settings import OperatorSettings
 from sonoservo.systems.control.scheduled_settings import ScheduledSettings
 from sonoservo.systems.display.console.controls import Control, controller_controls

@@ -145,7 +145,7 @@ def load_scenario(
     if path.suffix not in (".yaml", ".yml"):
         raise ConfigurationError(f"unknown scenario {str(scenario)!r}; {suggest(path.name, known)}")
     data: dict[str, Any] = {"name": path.stem, **read_yaml(path)}
-    apply_changes(data, changes)
+    _change(data, changes, seed)
     data = merged(_of_needle(data), data)
     if as_published:
         published = _schema(data, scenario).as_published(data)
@@ -159,15 +159,28 @@ def _load(
     changes: Mapping[str, Any] | Sequence[str] | None,
     seed: int | None,
 ) -> "Scenario":
-    before = data.get("needle")
-    apply_changes(data, changes)
-    if data.get("needle") != before:
-        # Another kind of needle replaces what the scenario had, except for the other changes.
+    before = _needle_of(data)
+    _change(data, changes, seed)
+    if _needle_of(data) != before:
+        # Another needle replaces what the scenario had, except for the other changes.
         data = merged(data, _of_needle(data))
-        apply_changes(data, changes)
+        _change(data, changes, seed)
+    return load_typed(_schema(data, source), data, source)
+
+
+def _change(
+    data: dict[str, Any], changes: Mapping[str, Any] | Sequence[str] | None, seed: int | None
+) -> None:
+    """Apply changes to a scenario's data, and its seed."""
+    apply_changes(data, changes)
     if seed is not None:
         data["seed"] = without_numpy(seed)
-    return load_typed(_schema(data, source), data, source)
+
+
+def _needle_of(data: Mapping[str, Any]) -> tuple[Any, Any]:
+    """Return a scenario's kind of needle, with the seed if that draws it."""
+    kind = data.get("needle")
+    return kind, data.get("seed", 0) if kind == "drawn" else None
 
 
 def _of_needle(data: Mapping[str, Any]) -> dict[str, Any]:
@@ -175,8 +188,14 @@ def _of_needle(data: Mapping[str, Any]) -> dict[str, Any]:
     if not isinstance(data.get("needle"), str):
         return {}
     # Loaded here, so that a list of scenarios needs no renderer.
-    from sonoservo.systems.ultrasound.simulation.needles.needle_kind import load_needle
+    from sonoservo.systems.ultrasound.simulation.needles.needle_kind import (
+        DRAWN,
+        draw_needle,
+        load_needle,
+    )
 
+    if data["needle"] == DRAWN:
+        return draw_needle(without_numpy(data.get("seed", 0)))
     kind = load_needle(data["needle"])
     return {"hand": {"gauge": kind.gauge}, "scanner": {"needle": asdict(kind.echo)}}
 

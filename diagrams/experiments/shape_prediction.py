@@ -15,9 +15,8 @@ from sonoservo.diagrams.experiments.shape_prediction_scenario import (
     SHAPE_FILTERS,
     ShapePredictionScenario,
 )
-from sonoservo.diagrams.scenario import Scenario, require_scenario
+from sonoservo.diagrams.scenario import Scenario, draw_seeds, require_scenario
 from sonoservo.diagrams.scene import Scene
-from sonoservo.diagrams.seeds import draw_seeds
 from sonoservo.diagrams.shape_predictor import MakeShapePredictor
 from sonoservo.systems.display.console.shape_feed import ShapeFeed
 from sonoservo.systems.display.world.shape_view import ShapeView

@@ -18,8 +18,13 @@ from pathlib import Path
 from typing import Any
 
 from sonoservo.diagrams.studies.records import read_records, write_records
-from sonoservo.diagrams.studies.study_report import Study, StudyRow, interval_text, rows_table
-from sonoservo.diagrams.studies.verdicts import summary_of
+from sonoservo.diagrams.studies.study_report import (
+    Study,
+    StudyRow,
+    interval_text,
+    rows_table,
+    summary_of,
+)
 from sonoservo.systems.evaluation.table import Table, cell_text
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.writing import write_atomically
@@ -76,6 +81,7 @@ def keep_results(studies: Sequence[Study], command: str) -> None:
     for each in studies:
         write_records(_folder(each.paper) / RECORDS, each.outcomes, command)
         (_folder(each.paper) / OLD).unlink(missing_ok=True)
+    kept_results.cache_clear()
     write_tables()
 
 

@@ -42,10 +42,7 @@ class Processes:
     Drake's Python systems are never freed, and when a case kills it. The slots do not wait for one
     another.
 
-    Parameters
-    ----------
-    jobs
-        Number of processes; -1 for one per core, 1 to run the cases in this process.
+    `jobs`: number of processes; -1 for one per core, 1 to run the cases in this process.
     """
 
     def __init__(self, jobs: int = -1) -> None:

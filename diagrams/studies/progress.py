@@ -40,14 +40,7 @@ class TimeLeft:
     mean of all experiments is assumed from the beginning; and among those, one of 15 s. If none has
     ended for a time t, the cases that run are expected to take 1.5 t at least.
 
-    Parameters
-    ----------
-    pending
-        Cases to run.
-    known
-        Outcomes of earlier runs of the study.
-    clock
-        Clock in s.
+    `pending`: cases to run; `known`: outcomes of earlier runs of the study; `clock`: clock in s.
     """
 
     def __init__(
@@ -97,16 +90,8 @@ def _posterior(prior: float, seconds: float, ended: int) -> float:
 class StudyProgress:
     """Progress bar of a study, which also shows lines of text above it.
 
-    Parameters
-    ----------
-    console
-        Console to show it on, if any.
-    executor
-        Executor of the cases.
-    pending
-        Cases to run.
-    known
-        Outcomes of earlier runs of the study.
+    `console`: console to show it on, if any; `executor`: executor of the cases; `pending`: cases to
+    run; `known`: outcomes of earlier runs of the study.
     """
 
     def __init__(
@@ -188,14 +173,8 @@ def _duration(seconds: float) -> str:
 class Heartbeat:
     """Prints how long something has taken, again and again, unless the console is a terminal.
 
-    Parameters
-    ----------
-    console
-        Console to print on.
-    what
-        What is being done.
-    period
-        Time between two lines, in s.
+    `console`: console to print on; `what`: what is being done; `period`: time between two lines, in
+    s.
     """
 
     def __init__(self, console: Console, what: str, period: float = 5.0) -> None:

@@ -22,16 +22,8 @@ _DIGITS = 6
 class Records:
     """Records of the runs of a study, and where they come from.
 
-    Parameters
-    ----------
-    command
-        Command that makes them.
-    commit
-        Commit of the program that made them.
-    version
-        Version of that program.
-    outcomes
-        Outcomes of all cases, failures included.
+    `command`: command that makes them; `commit`: commit of the program that made them; `version`:
+    version of that program; `outcomes`: outcomes of all cases, failures included.
     """
 
     command: str

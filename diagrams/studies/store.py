@@ -16,18 +16,9 @@ _FILE = "file://"
 class Store:
     """Place for the files of results.
 
-    Parameters
-    ----------
-    url
-        Folder, or URL that fsspec understands, such as ``s3://bucket/needles``.
-    shared
-        Whether the workers of a cluster write into the store themselves. Otherwise, the files come
-        back to the process that asked for them, which writes them.
-
-    Raises
-    ------
-    ConfigurationError
-        If fsspec is needed and missing, or does not know the URL.
+    `url`: folder, or URL that fsspec understands, such as ``s3://bucket/needles``; `shared`:
+    whether the workers of a cluster write into the store themselves. Otherwise, the files come back
+    to the process that asked for them, which writes them.
     """
 
     url: str

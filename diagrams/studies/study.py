@@ -140,12 +140,8 @@ class Outcome:
 class WithFiles:
     """Result of a case that has files as well.
 
-    Parameters
-    ----------
-    result
-        Result to keep, in types that JSON or NumPy has.
-    files
-        Contents of the files by name, with forward slashes between folders.
+    `result`: result to keep, in types that JSON or NumPy has; `files`: contents of the files by
+    name, with forward slashes between folders.
     """
 
     result: Mapping[str, Any]
@@ -159,14 +155,8 @@ Work = Callable[[Case], Mapping[str, Any] | WithFiles]
 class Finished:
     """A case that ended, as an executor hands it back.
 
-    Parameters
-    ----------
-    outcome
-        Outcome of the case.
-    files
-        Contents of those files that are not in the store yet.
-    lasting
-        Whether to keep the outcome; otherwise, the case is run again the next time.
+    `outcome`: outcome of the case; `files`: contents of those files that are not in the store yet;
+    `lasting`: whether to keep the outcome; otherwise, the case is run again the next time.
     """
 
     outcome: Outcome

@@ -2,22 +2,71 @@
 
 import html
 import math
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from enum import StrEnum
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from matplotlib.figure import Figure
 
 from sonoservo.diagrams.studies.fingerprint import made_with
 from sonoservo.diagrams.studies.records import present_commit
 from sonoservo.diagrams.studies.study import Outcome
-from sonoservo.diagrams.studies.verdicts import Side, Verdict, summary_of, verdict
+from sonoservo.systems.evaluation.intervals import proportion_interval
 from sonoservo.systems.evaluation.reports.plots import png
 from sonoservo.systems.evaluation.reports.web_page import web_page
 from sonoservo.systems.evaluation.table import Strong, Table, cell_text
 from sonoservo.systems.files.writing import write_atomically, write_json
+
+Side = Literal["at most", "at least"]
+"""Side of a target on which a figure must lie."""
+
+
+class Verdict(StrEnum):
+    """Verdicts on a target."""
+
+    MET = "yes"
+    NOT_MET = "no"
+    UNDECIDED = "undecided"
+    """The interval crosses the target: more runs would tell."""
+    NOT_MEASURED = "not measured"
+    """No run gave the figure: it was not asked for, or none got so far."""
+
+
+def verdict(
+    value: float | None, low: float | None, high: float | None, target: float, wanted: Side
+) -> Verdict:
+    """Return the verdict on a target."""
+    if value is None:
+        return Verdict.NOT_MEASURED
+    if low is not None and high is not None and low < target < high:
+        return Verdict.UNDECIDED
+    good = value <= target if wanted == "at most" else value >= target
+    return Verdict.MET if good else Verdict.NOT_MET
+
+
+def can_be_judged(total: int, target: float, wanted: Side) -> bool:
+    """Return True if a share of runs can meet a target, and can miss it."""
+    possible = set()
+    for number in range(total + 1 if total else 0):
+        low, high = proportion_interval(number, total)
+        share = 100 * number / total
+        possible.add(verdict(share, 100 * low, 100 * high, target, wanted))
+    return {Verdict.MET, Verdict.NOT_MET} <= possible
+
+
+def summary_of(verdicts: Collection[Verdict]) -> str:
+    """Return how many of the measured targets are met, and what is open, as text."""
+    if not verdicts:
+        return "no targets"
+    counts = Counter(verdicts)
+    measured = len(verdicts) - counts[Verdict.NOT_MEASURED]
+    said = [f"{counts[Verdict.MET]} of {measured} targets met"]
+    open_ones = (Verdict.UNDECIDED, Verdict.NOT_MEASURED)
+    return ", ".join([*said, *(f"{counts[each]} {each}" for each in open_ones if counts[each])])
 
 
 @dataclass(frozen=True, kw_only=True)

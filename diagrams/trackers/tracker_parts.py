@@ -116,23 +116,7 @@ def add_tracker_parts(
     offset: float,
     seed: int,
 ) -> TrackManager:
-    """Add and connect the parts of one of our trackers, and export its ports.
-
-    Parameters
-    ----------
-    builder
-        Builder to add to.
-    parameters
-        Parameters of the parts.
-    needle_filter
-        Filter of the track manager.
-    period, offset, seed
-        See `MakeNeedleTracker`.
-
-    Returns
-    -------
-    The track manager, for further connections.
-    """
+    """Add and connect the parts of one of our trackers, export its ports, return its manager."""
     events = {"period": period, "offset": offset}
     lifecycle = TrackLifecycle(
         order=parameters.order,

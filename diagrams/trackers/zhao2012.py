@@ -102,19 +102,7 @@ def connect_velocimeter(
     *,
     speckle_port: bool = False,
 ) -> None:
-    """Add a velocimeter and the memory of its previous volume, and connect them to a tracker.
-
-    Parameters
-    ----------
-    builder
-        Builder of the tracker, which has its other parts already.
-    manager
-        Track manager that uses the velocity.
-    velocimeter, memory
-        Systems to add.
-    speckle_port
-        See `MakeZhao2012Tracker`.
-    """
+    """Add a velocimeter and the memory of its previous volume, and connect them to a tracker."""
     builder.AddNamedSystem("speckle_velocimeter", velocimeter)
     builder.AddNamedSystem("speckle_memory", memory)
     volumes = builder.GetSubsystemByName(VOLUME_GATE).GetOutputPort("volume")

@@ -48,11 +48,7 @@ class PoseCalibration(Immutable):
         return estimate_pose_errors(self.equations)
 
     def seen(self, volume: Volume) -> "PoseCalibration":
-        """Return the calibration after one more volume.
-
-        It is compared with the one before from which the probe has moved by the amount that tells
-        most. A probe at rest tells nothing.
-        """
+        """Return the calibration after one more volume, compared with the one that tells most."""
         kept = (*self.volumes, volume)[-_VOLUMES:]
         apart = [(_motion(earlier, volume), earlier) for earlier in self.volumes]
         near = [(abs(math.log(m)), each) for m, each in apart if _LEAST <= m <= _MOST]

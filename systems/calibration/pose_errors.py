@@ -85,11 +85,7 @@ class PoseErrors(Immutable):
         return RigidTransform(RotationMatrix(turn), self.translation)
 
     def corrected(self, volume: Volume) -> Volume:
-        """Return a volume with the poses that are true by these errors.
-
-        Without the times of its frames, a volume does not tell how fast the probe moved, and its
-        delay is not corrected.
-        """
+        """Return a volume with the true poses; its delay only if it has frame times."""
         if volume.motion is None:
             return replace(volume, X_WP=volume.X_WP.multiply(self.X_PI))
         motion = volume.motion
@@ -126,10 +122,10 @@ class PoseEquations(Immutable):
 
 
 def probe_velocities(motion: SweepMotion, times: Floats) -> tuple[Floats, Floats]:
-    """Return (m, 3) angular and translational velocities of P in P at times of a sweep.
+    """Return (m, 3) angular and translational velocities of P in P, in rad/s and m/s, at times.
 
-    They are the derivatives of a polynomial through the poses of the frames, in rad/s and m/s; zero
-    if all frames have the same time.
+    They are the derivatives of a polynomial through the poses of the frames; zero if all frames
+    have the same time.
     """
     if np.ptp(motion.times) == 0:
         return np.zeros((len(times), 3)), np.zeros((len(times), 3))

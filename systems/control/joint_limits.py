@@ -9,14 +9,8 @@ from numba import njit
 def keeps_limits(wanted: Any, last: Any, limits: Any) -> bool:  # pragma: no cover - compiled
     """Return True if a command keeps the limits of the joints and continues the last one.
 
-    Parameters
-    ----------
-    wanted
-        (2n,) joint positions and velocities, in rad and rad/s.
-    last
-        At least (2n,) numbers: those sent last. Nothing has to be continued where they are NaN.
-    limits
-        (3, 2n) least and greatest values, and largest changes from one command to the next.
+    Both hold positions and velocities, the last one NaN where nothing has to be continued. The (3,
+    2n) limits are least and greatest values, and largest changes.
     """
     for i in range(len(wanted)):
         if not limits[0, i] <= wanted[i] <= limits[1, i]:

@@ -78,17 +78,7 @@ def servo_velocity(
 def saturated(
     velocity: NDArray[np.float64], *, speed: float, angular_speed: float
 ) -> NDArray[np.float64]:
-    """Return a velocity (v_x, v_z, omega_y) scaled down as a whole to the highest allowed speeds.
-
-    Parameters
-    ----------
-    velocity
-        (3,) velocity, in m/s, m/s, rad/s.
-    speed
-        Highest translational speed, in m/s.
-    angular_speed
-        Highest angular speed, in rad/s.
-    """
+    """Return a velocity (v_x, v_z, omega_y) scaled down as a whole to the highest speeds."""
     v_x, v_z, omega_y = velocity.tolist()
     excess = max(math.hypot(v_x, v_z) / speed, abs(omega_y) / angular_speed, 1)
     return velocity / excess

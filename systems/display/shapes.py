@@ -20,11 +20,7 @@ def resample(polyline: ArrayLike, points: int) -> NDArray[np.float64]:
 
 
 def segment_pose(start: ArrayLike, end: ArrayLike) -> tuple[RigidTransform, float]:
-    """Return pose and length of a cylinder between two points.
-
-    Its origin is halfway between them, and its Z axis points from start to end. A segment of zero
-    length points along +Z.
-    """
+    """Return pose and length of a cylinder between two points, its Z from start to end."""
     start, end = np.asarray(start, dtype=float), np.asarray(end, dtype=float)
     length = float(np.linalg.norm(end - start))
     axis: Any = (end - start) / length if length > 0 else np.array([0.0, 0.0, 1.0])
@@ -32,10 +28,9 @@ def segment_pose(start: ArrayLike, end: ArrayLike) -> tuple[RigidTransform, floa
 
 
 def sector_edges(geometry: SweepGeometry, points: int = 17) -> list[NDArray[np.float64]]:
-    """Return the edges of the swept sector as polylines in P, in m: four rays and eight arcs.
+    """Return the edges of the swept sector as polylines in P, in m: four rays, eight arcs.
 
-    Rays have two points, arcs `points`. The motor's direction changes the edges by a few tenths of
-    a degree, which is neglected.
+    The motor's direction changes them by tenths of a degree, which is neglected.
     """
     frames, lines, samples = (extent - 1 for extent in geometry.shape)
     k, j, i = (np.linspace(0, last, points) for last in (frames, lines, samples))

@@ -20,21 +20,11 @@ _LINEAR, _CLAMP_TO_EDGE = 9729, 33071
 
 
 def gltf_textured_quads(planes: Sequence[Plane], pictures: Sequence[bytes]) -> str:
-    """Return rectangles with pictures on them as one self-contained glTF 2.0 document.
+    """Return rectangles with pictures (PNG or WebP) on them as one glTF 2.0 document.
 
-    Parameters
-    ----------
-    planes
-        Planes of the pictures, in the frame of the whole object.
-    pictures
-        Contents of a PNG or WebP file for each plane. Columns run along +X of the plane, rows along
-        +Y. Pixels that are less than half opaque are not drawn.
-
-    Returns
-    -------
-    JSON text. The pictures are unlit, so they keep their own brightness, and show on both sides.
-    Drake's Meshcat turns glTF's +Y up into its own +Z; the axes allow for this, and the pictures
-    appear at their true place.
+    Columns run along +X of a plane, rows along +Y. They are unlit and two-sided; pixels that are
+    less than half opaque are not drawn. The axes allow for Drake's Meshcat, which turns glTF's +Y
+    up.
     """
     data = b""
     views: list[dict[str, Any]] = []
@@ -133,17 +123,7 @@ def draw_picture(
 def text_image(
     text: str, colour: Sequence[float], background: Sequence[float], height: int = 64
 ) -> NDArray[np.uint8]:
-    """Return a text as a (rows, columns, 4) picture.
-
-    Parameters
-    ----------
-    text
-        One line of text.
-    colour, background
-        Red, green and blue from 0 to 1.
-    height
-        Height of the picture, in pixels.
-    """
+    """Return a text as a (rows, columns, 4) picture of a height in pixels."""
     font = ImageFont.load_default(size=0.7 * height)
     width = int(font.getlength(text) + 0.6 * height)
     image = Image.new("RGBA", (width, height), bytes_of(background))
@@ -160,10 +140,7 @@ def encode_png(image: NDArray[np.uint8], compression: int = 6) -> bytes:
 
 
 def encode_webp(image: NDArray[np.uint8], quality: int = 85) -> bytes:
-    """Return a grey array with opacity as the contents of a WebP file, a third of a PNG's size.
-
-    The quality goes up to 100. The opacity is kept without loss.
-    """
+    """Return a grey array with opacity as a WebP file, a third of a PNG's size."""
     buffer = io.BytesIO()
     picture = Image.fromarray(np.ascontiguousarray(image)).convert("RGBA")
     picture.save(buffer, "WEBP", quality=quality, method=0)

@@ -16,15 +16,8 @@ class CompileFreeClock(Listener):
     A kernel is compiled once on a machine, by the first run that needs it. That time says nothing
     about the speed of what is measured. Compilations are noticed inside the context only.
 
-    Parameters
-    ----------
-    clock
-        Clock that goes on all the time, in s.
-
-    Attributes
-    ----------
-    compiled
-        Time spent on compilation so far, in s.
+    `clock`: clock that goes on all the time, in s; `compiled`: time spent on compilation so far, in
+    s.
     """
 
     def __init__(self, clock: Callable[[], float] = time.perf_counter) -> None:

@@ -28,16 +28,9 @@ Row = dict[str, Any]
 class Column:
     """Description of an array of a log.
 
-    Parameters
-    ----------
-    what
-        Meaning in words.
-    unit
-        Unit; empty if there is none.
-    shape
-        Extents: a number each, or the letter of an extent that several arrays share.
-    dtype
-        Type of the elements: "f8" for numbers, "?" for booleans or "U" for texts.
+    `what`: meaning in words; `unit`: unit; empty if there is none; `shape`: extents: a number each,
+    or the letter of an extent that several arrays share; `dtype`: type of the elements: "f8" for
+    numbers, "?" for booleans or "U" for texts.
     """
 
     what: str
@@ -186,17 +179,9 @@ class LogRows:
     A row as it comes takes about 5 KB, because each of its values is an object; packed, it takes
     what its numbers need. Of equal texts one is kept.
 
-    Parameters
-    ----------
-    columns
-        Column of each value that a row may have, by its name.
-    extents
-        Extents of the columns' other axes, by their letter; see `stack_rows`.
-
-    Attributes
-    ----------
-    newest
-        Newest row; None if there is none.
+    `columns`: column of each value that a row may have, by its name; `extents`: extents of the
+    columns' other axes, by their letter; see `stack_rows`; `newest`: newest row; None if there is
+    none.
     """
 
     newest: Row | None

@@ -40,7 +40,7 @@ _AXIAL_MM, _ACROSS_MM = (0.05, 3.0), (0.15, 12.0)
 """Widths of speckle along and across the sound, of probes from 2 to 20 MHz."""
 
 _OTHER_AXIS = 1.4
-"""How much narrower speckle is along another axis, from which that one is the sound's."""
+"""Ratio of speckle widths from which the narrower axis is taken for the sound's."""
 
 _LATE = 15e-3
 """Delay of poses in s that shows: a probe at 30 mm/s moves half a millimetre."""
@@ -50,7 +50,7 @@ _DISPLACED, _TURNED_DEG = 2e-3, 2.0
 
 
 class Check(Enum):
-    """What is checked; the values name it in a table."""
+    """Subjects of the checks; the values name them in a table."""
 
     READING = "reading"
     KIND = "kind"
@@ -68,7 +68,7 @@ class Check(Enum):
 
 
 class Grade(IntEnum):
-    """How grave a finding is; above FINE, something needs doing."""
+    """Gravity of a finding; above FINE, something needs doing."""
 
     FINE = 0
     DOUBTFUL = 1
@@ -79,14 +79,8 @@ class Grade(IntEnum):
 class Finding:
     """Outcome of a check.
 
-    Parameters
-    ----------
-    check, grade
-        What was checked, and how grave it is.
-    text
-        What was found, with its figures.
-    advice
-        What to do; empty if nothing needs doing.
+    `check`, `grade`: what was checked, and how grave it is; `text`: what was found, with its
+    figures; `advice`: what to do; empty if nothing needs doing.
     """
 
     check: Check

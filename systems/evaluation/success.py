@@ -32,17 +32,12 @@ SUCCESS_MM, SUCCESS_DEG = 2.0, 2.0
 
 @dataclass(frozen=True, eq=False)
 class TrackedVolumes:
-    """What a tracker made of the v volumes of a run, judged with the truth.
+    """Results of a tracker in the v volumes of a run, judged against ground truth.
 
-    Parameters
-    ----------
-    tip, axis
-        (v,) errors in mm and deg; infinite without an estimate or a needle.
-    tracking
-        (v,) mask of the volumes that confirmed a needle.
-    to_be_seen
-        (v,) length of the true needle that there was to be seen, in mm: that which stands out in
-        the volume, if it was measured, or else that in view.
+    `tip`, `axis`: (v,) errors in mm and deg; infinite without an estimate or a needle; `tracking`:
+    (v,) mask of the volumes that confirmed a needle; `to_be_seen`: (v,) length of the true needle
+    that there was to be seen, in mm: that which stands out in the volume, if it was measured, or
+    else that in view.
     """
 
     tip: Floats
@@ -146,7 +141,7 @@ def from_needle(log: RunLog, time: Floats, p_W: Floats) -> Floats:
 
 
 class RunOutcome(Enum):
-    """What became of a run in which a robot follows a needle, the gravest that holds."""
+    """Outcome of a run in which a robot follows a needle: the gravest that applies."""
 
     STOPPED = "stopped by the guard"
     UNTOUCHED = "never touched the body"
@@ -157,7 +152,7 @@ class RunOutcome(Enum):
 
 
 def run_outcome(summary: Mapping[str, Any]) -> RunOutcome:
-    """Return what became of a run, from its summary; see `summarize`."""
+    """Return the outcome of a run, from its summary; see `summarize`."""
     if look_up(summary, "guard.stopped_at_end"):
         return RunOutcome.STOPPED
     if look_up(summary, "force.touched") is False:

@@ -37,14 +37,8 @@ def cell_text(value: Cell, missing: str = "–") -> str:
 class Table:
     """Rows of cells under heads, each row beginning with its label.
 
-    Parameters
-    ----------
-    heads
-        Head of each column; all empty for a table without heads.
-    rows
-        Cells of each row.
-    missing
-        Text of a cell without a value.
+    `heads`: head of each column; all empty for a table without heads; `rows`: cells of each row;
+    `missing`: text of a cell without a value.
     """
 
     def __init__(

@@ -12,21 +12,10 @@ from sonoservo.systems.files.writing import PARTIAL, make_folder
 
 @contextmanager
 def claim_folder(folder: Path | None) -> Iterator[None]:
-    """Keep every other process that claims a folder from writing into it.
+    """Keep every other process that claims a folder from writing into it; None claims nothing.
 
-    The folder is created if necessary, and the partial files of a killed writer are removed. The
-    operating system ends the claim with the process, however that ends. On a file system without
-    locks, nothing is claimed.
-
-    Parameters
-    ----------
-    folder
-        Folder to write into; None claims nothing.
-
-    Raises
-    ------
-    ConfigurationError
-        If another process writes into the folder.
+    The folder is made, and a killed writer's partial files removed. The operating system ends the
+    claim with the process. On a file system without locks, nothing is claimed.
     """
     if folder is None:
         yield
@@ -44,22 +33,7 @@ def claim_folder(folder: Path | None) -> Iterator[None]:
 
 
 def claim(handle: int, path: Path, other: str) -> None:
-    """Claim an open file or folder until its handle is closed.
-
-    Parameters
-    ----------
-    handle
-        Number of the open file.
-    path
-        Path of the file.
-    other
-        What a person can give instead, for the message.
-
-    Raises
-    ------
-    ConfigurationError
-        If another process has claimed it.
-    """
+    """Claim an open file until its handle is closed; the error names ``other`` as the way out."""
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError as error:

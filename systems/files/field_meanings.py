@@ -30,17 +30,7 @@ def described_parameters(schema: type) -> dict[str, str]:
 def field_rows(
     schema: type, path: str = "", above: tuple[type, ...] = ()
 ) -> Iterator[tuple[str, str, str]]:
-    """Yield path, default and description of each field, sections before what they contain.
-
-    Parameters
-    ----------
-    schema
-        Dataclass, which may contain others.
-    path
-        Path of the dataclass itself, with a full stop at its end.
-    above
-        Dataclasses that contain it.
-    """
+    """Yield path, default and description of each field, sections before what they contain."""
     hints = typing.get_type_hints(schema)
     inherited: dict[str, str] = {}
     for each in reversed(schema.__mro__):
@@ -57,15 +47,7 @@ def field_rows(
 
 
 def field_meaning(schema: type, path: str) -> str:
-    """Return the first sentence of a field's description; empty if it has none.
-
-    Parameters
-    ----------
-    schema
-        Dataclass with the field.
-    path
-        Dotted path of the field; numbers of the elements of lists may be part of it.
-    """
+    """Return the first sentence of the description of a field, by its dotted path; may be empty."""
     wanted = re.sub(r"\.\d+", "", path)
     for name, _, text in field_rows(schema):
         if name == wanted:

@@ -15,13 +15,7 @@ DEFAULT_MEMORY_GB = 4.0
 
 
 def memory_budget() -> float:
-    """Return the budget of memory for a single file or setting, in bytes.
-
-    Raises
-    ------
-    ConfigurationError
-        If the environment variable holds anything but a number above 0.
-    """
+    """Return the budget of memory for a single file or setting, in bytes."""
     text = os.environ.get(MEMORY_VARIABLE, "")
     try:
         budget = float(text or DEFAULT_MEMORY_GB)
@@ -36,20 +30,7 @@ def memory_budget() -> float:
 
 @contextmanager
 def set_memory_budget(gigabytes: float | None, source: str) -> Iterator[None]:
-    """Set the budget inside the context, also for processes that are started there.
-
-    Parameters
-    ----------
-    gigabytes
-        Budget in GB; None keeps the present one.
-    source
-        Option that asks for it, named at the start of the error.
-
-    Raises
-    ------
-    ConfigurationError
-        If it is not a number above 0.
-    """
+    """Set the budget in GB inside the context and in its processes; ``source`` names the option."""
     if gigabytes is not None and not 0 < gigabytes < math.inf:
         raise ConfigurationError(
             f"{source}: {gigabytes} is not allowed; it must be a number of GB above 0"

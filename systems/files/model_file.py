@@ -13,10 +13,7 @@ T = TypeVar("T")
 
 
 def read_once(read: Callable[[Path], T]) -> Callable[[Path], T]:
-    """Decorate the reader of a model, so that it reads a file again only after a change.
-
-    The result is shared, and must not be changed.
-    """
+    """Decorate a model's reader to read again only after a change; the result is shared."""
 
     @lru_cache(maxsize=64)
     def remembered(path: Path, _place: Path, _modified: int, _size: int) -> T:
@@ -31,20 +28,10 @@ def read_once(read: Callable[[Path], T]) -> Callable[[Path], T]:
 
 
 def model_file(folder: str, name: str) -> Path:
-    """Return the path of a model that ships with the package, or of a user's own.
+    """Return the path of a model by its name in a folder of our models, or of a user's file.
 
-    Parameters
-    ----------
-    folder
-        Folder of `sonoservo.models` that contains models of this kind.
-    name
-        Name of a model in the folder, or path of a user's file, which has a suffix. A file that is
-        not YAML, such as a label map, stands for the YAML file of the same name beside it.
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is no such model. For a name, the message lists the models that ship.
+    A user's file has a suffix. One that is not YAML, such as a label map, stands for the YAML file
+    of the same name beside it. A FileNotFoundError lists the models that ship.
     """
     own = Path(name)
     if own.suffix and not own.is_file():
@@ -60,22 +47,7 @@ def model_file(folder: str, name: str) -> Path:
 
 
 def read_section(path: Path, section: str, sections: Sequence[str]) -> dict[str, Any]:
-    """Read one section of a model's YAML file; a missing section is empty.
-
-    Parameters
-    ----------
-    path
-        Path of the file.
-    section
-        Name of the section to read.
-    sections
-        Names of all sections that such a file may have.
-
-    Raises
-    ------
-    ConfigurationError
-        If the file contains anything else.
-    """
+    """Read one section of a model's YAML file, empty if missing; others are refused."""
     data = read_yaml(path)
     for key in data:
         if key not in sections:

@@ -121,23 +121,10 @@ _SLOWEST = 20.0
 
 
 def open_nrrd(path: Path, *, frames: bool = False) -> VolumeFile:
-    """Open an NRRD file with one volume, or with a sequence of them along a list axis.
+    """Open an NRRD file with one volume, 2D frames, or a sequence along a list axis.
 
-    The list axis may come first, as older versions of 3D Slicer wrote it, or last, as it is written
-    today. The first axis of a file varies fastest, so a file with the list axis first is transposed
-    once into a temporary file. Raw and gzip data are supported, in one file or several.
-
-    Parameters
-    ----------
-    path
-        Path of the file.
-    frames
-        Whether to open 2D frames and refuse volumes, rather than the reverse.
-
-    Raises
-    ------
-    ConfigurationError
-        If the file is not valid or not supported; the message names the file and the fault.
+    The first axis varies fastest, so a file with the list axis first is transposed once into a
+    temporary file. Raw and gzip data are read, in one file or several.
     """
     with refusing_failures(path, "its header is not valid NRRD"):
         header, names, offset = _read_header(path)

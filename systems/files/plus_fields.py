@@ -76,20 +76,8 @@ def _spelling(name: str) -> str:
 def as_plus_means(file: VolumeFile, orientation: str = "") -> VolumeFile:
     """Return a file with the axes on which PLUS's transforms are defined: marked, far, ascending.
 
-    A file's ``UltrasoundImageOrientation`` names the directions in which its axes run. PLUS turns
-    the image before it uses it, so transforms, spacing and position are those of MF, or MFA.
-
-    Parameters
-    ----------
-    file
-        File as its format describes it.
-    orientation
-        Orientation for a file that does not state one.
-
-    Raises
-    ------
-    ConfigurationError
-        If the orientation is not one, or the image is no brightness.
+    ``UltrasoundImageOrientation``, or the one given, names the directions of a file's axes. PLUS
+    turns the image first, so transforms, spacing and position are those of MF, or MFA.
     """
     kind = sequence_field(file.fields, "UltrasoundImageType").upper()
     if kind in _RAW or kind.startswith("RF"):

@@ -43,24 +43,10 @@ def describe(error: BaseException) -> str:
 
 @contextmanager
 def refusing_failures(source: object, what: str = "") -> Iterator[None]:
-    """Turn any failure inside into a ConfigurationError that names a file or scenario.
+    """Turn any failure inside into a ConfigurationError that begins with the source and ``what``.
 
-    It is the boundary around the reading of data from outside, where nothing is certain: whatever
-    fails inside is a fault of the data, or data that this program does not understand. The original
-    error stays attached for debugging.
-
-    Parameters
-    ----------
-    source
-        File or scenario, named at the start of every message. A ConfigurationError names its own
-        source and is left as it is.
-    what
-        Words before the message of a failure that no check foresaw, such as "damaged".
-
-    Raises
-    ------
-    ConfigurationError
-        If anything fails inside.
+    It is the boundary around data from outside, where whatever fails is a fault of the data. A
+    ConfigurationError names its own source and is left as it is.
     """
     try:
         yield

@@ -111,10 +111,7 @@ class VolumeFile:
         require_memory(_BYTES_PER_VOLUME * self.count, str(self.path), f"{self.count} volumes")
 
     def frame_fields(self) -> dict[str, dict[int, str]]:
-        """Return the fields of single volumes (``Seq_Frame0012_Name``, as in PLUS files).
-
-        The result is indexed by the field's name, then by the volume's number.
-        """
+        """Return the fields of single volumes (``Seq_Frame0012_Name``) by name and number."""
         found: dict[str, dict[int, str]] = {}
         for key, value in self.fields.items():
             if match := _FRAME_FIELD.fullmatch(key):
@@ -123,13 +120,7 @@ class VolumeFile:
 
 
 def require_voxels(path: Path, shape: Sequence[int]) -> None:
-    """Refuse a volume on which the work would take more memory than the budget.
-
-    Raises
-    ------
-    ConfigurationError
-        If it would; the message names the file and the number of voxels.
-    """
+    """Refuse a volume on which the work would take more memory than the budget."""
     require_memory(_BYTES_PER_VOXEL * math.prod(shape), str(path), f"{_times(shape)} voxels")
 
 
@@ -141,13 +132,7 @@ def check_layout(
     *,
     frames: bool = False,
 ) -> None:
-    """Check that a layout is a grid of volumes or, with ``frames``, a sequence of 2D frames.
-
-    Raises
-    ------
-    ConfigurationError
-        If it is neither; the message names the file and the fault.
-    """
+    """Refuse what is no grid of volumes or, with ``frames``, no sequence of 2D frames."""
     if count < 1 or min(shape) < 1:
         raise ConfigurationError(f"{path}: {count} volumes of {_times(shape)} voxels: it is empty")
     if frames and (shape[2] != 1 or min(shape[:2]) < 2):
@@ -169,25 +154,10 @@ def check_grid(
     *,
     square: bool = True,
 ) -> None:
-    """Check that voxels or pixels have a plausible size, extent and position, and right angles.
+    """Refuse an implausible size, extent or position in mm of voxels or pixels, or askew axes.
 
-    Parameters
-    ----------
-    path
-        Path of the file, for errors.
-    shape
-        Numbers of voxels along n axes.
-    directions
-        (3, n) array whose columns are the steps along the axes, in mm.
-    origin
-        (3,) position of the first voxel in mm.
-    square
-        Whether the angles must be right ones; a calibration of pixels may be a little askew.
-
-    Raises
-    ------
-    ConfigurationError
-        If they have not; the message names the file and the value.
+    The columns of the (3, n) directions are the steps along the axes. Unless they must be
+    ``square``, they may be a little askew, as a calibration of pixels is.
     """
     steps = np.linalg.norm(directions, axis=0)
     if not ((steps >= MIN_SPACING) & (steps <= MAX_SPACING)).all():
@@ -223,26 +193,7 @@ class FieldUse(StrEnum):
 
 
 class DataSection:
-    """Raw or compressed data of a file, read piece by piece.
-
-    Parameters
-    ----------
-    path
-        Path of the file.
-    offset
-        Offset of the data in the file, in bytes.
-    size
-        Number of uncompressed bytes that the header announces.
-    compression
-        Compression of the data: "gzip", "zlib" or "" for none.
-    skip
-        Number of uncompressed bytes before those.
-
-    Raises
-    ------
-    ConfigurationError
-        If the file is too small for that many bytes.
-    """
+    """Raw or compressed data of a file, read by pieces; sizes are those uncompressed."""
 
     def __init__(
         self, path: Path, offset: int, size: int, *, compression: str = "", skip: int = 0
@@ -263,13 +214,7 @@ class DataSection:
         self._rewind()
 
     def read(self, start: int, size: int) -> bytes:
-        """Return ``size`` bytes from ``start`` on; reading forwards is fast.
-
-        Raises
-        ------
-        ConfigurationError
-            If the data end earlier or are damaged.
-        """
+        """Return ``size`` bytes from ``start`` on; reading forwards is fast."""
         first = start + self._skip
         with refusing_failures(self._path, "damaged or truncated"):
             if not self._compression:
@@ -320,15 +265,7 @@ class DataSection:
 
 
 class DataSections:
-    """Data in several files, one after the other, each with the same number of bytes.
-
-    Parameters
-    ----------
-    sections
-        Data of each file.
-    size
-        Number of bytes of each.
-    """
+    """Data in several files, one after the other, each with the same number of bytes."""
 
     def __init__(self, sections: Sequence[DataSection], size: int) -> None:
         self._sections, self._size = sections, size
@@ -353,13 +290,7 @@ def decode_header(data: bytes) -> str:
 
 
 def listed_files(path: Path, field_name: str, words: Sequence[str]) -> list[Path]:
-    """Return the files that a pattern names: its text, first number, last number and step.
-
-    Raises
-    ------
-    ConfigurationError
-        If it is not valid, or a file is missing.
-    """
+    """Return the files that a pattern names: its text, first number, last number and step."""
     pattern, numbers = words[0], [int(word) for word in words[1:4]]
     first, last, step = (*numbers, 1)[:3] if len(numbers) >= 2 else (0, -1, 1)
     if step == 0 or not _PATTERN.fullmatch(pattern) or (last - first) // step + 1 > MAX_FILES:
@@ -374,13 +305,7 @@ def listed_files(path: Path, field_name: str, words: Sequence[str]) -> list[Path
 
 
 def existing_file(path: Path, field_name: str, name: str) -> Path:
-    """Return the path of a data file that a header names, relative to the header's folder.
-
-    Raises
-    ------
-    ConfigurationError
-        If there is no such file.
-    """
+    """Return the path of a data file that a header names, relative to the header's folder."""
     beside = path.parent / name
     if "\0" in name or not name or not beside.is_file():
         raise ConfigurationError(f"{path}: {field_name}: there is no file {name!r}")

@@ -53,13 +53,7 @@ def write_atomically(path: str | Path, data: bytes | str) -> Path:
 
 
 def make_folder(folder: Path) -> None:
-    """Make a folder and those above it, unless it exists.
-
-    Raises
-    ------
-    OSError
-        If it cannot be made, such as NotADirectoryError if there is something else.
-    """
+    """Make a folder and those above it, unless it exists."""
     try:
         with naming(folder):
             folder.mkdir(parents=True, exist_ok=True)
@@ -104,13 +98,7 @@ def _write_into(path: Path, content: bytes, mode: str) -> None:
 
 
 class Unwritten:
-    """Collects the errors of files that cannot be written, so that a result outlives a full disk.
-
-    Attributes
-    ----------
-    failure
-        First error; None if there was none.
-    """
+    """Collects the errors of files, so that a result outlives a full disk."""
 
     def __init__(self) -> None:
         self.failure: OSError | None = None

@@ -29,15 +29,7 @@ class Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[mis
 
 
 def load_yaml(text: str) -> Any:
-    """Return the value that a YAML document contains.
-
-    Raises
-    ------
-    yaml.YAMLError
-        If the text is not YAML, or larger or deeper than any scenario.
-    ValueError
-        If a value cannot be converted, such as a date with month 13.
-    """
+    """Return the value of a YAML document that is not larger or deeper than any scenario."""
     if len(text) > MAX_LENGTH:
         raise yaml.YAMLError(
             f"the document has {len(text)} characters; at most {MAX_LENGTH} are allowed"

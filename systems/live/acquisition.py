@@ -65,15 +65,7 @@ class VolumeAcquisition(Immutable):
 
 
 def acquisition_item(volume: Volume, settings: Mapping[str, Any]) -> TextItem:
-    """Return the text that goes with a volume; very long sweeps are sent without their frames.
-
-    Parameters
-    ----------
-    volume
-        Volume to send.
-    settings
-        Settings of the scanner that a tracker needs.
-    """
+    """Return the text that goes with a volume; very long sweeps are sent without their frames."""
     said = {**describe_grid(volume), **describe_acquisition(volume), **settings}
     text = json.dumps(said, separators=(",", ":"))
     if len(text) > _MAX_TEXT:
@@ -83,13 +75,7 @@ def acquisition_item(volume: Volume, settings: Mapping[str, Any]) -> TextItem:
 
 
 def read_acquisition_item(item: TextItem) -> VolumeAcquisition:
-    """Read the acquisition from a text, with the checks that one in a file passes.
-
-    Raises
-    ------
-    ValueError
-        If the text holds no acquisition.
-    """
+    """Read the acquisition from a text, with the checks that one in a file passes."""
     try:
         first = json.loads(item.text)
         line = {key: first.pop(key) for key in _VOLUME if key in first}

@@ -18,13 +18,7 @@ from sonoservo.systems.ultrasound.frame_reconstruction import (
 
 
 def frame_levels(posed: PosedImage, grey: GreyLevels) -> NDArray[Any]:
-    """Return the (ni, nj) grey levels of a frame; what was not seen is black.
-
-    Raises
-    ------
-    ValueError
-        If nothing was seen in it.
-    """
+    """Return the (ni, nj) grey levels of a frame, black if not seen; a ValueError if all is."""
     pixels = posed.image.voxels[..., 0]
     void = void_flags(pixels)
     if void is not None and void.all():

@@ -202,13 +202,7 @@ class ImageMatcher:
         return any(sender.image_clock.stands for sender in self._senders.values())
 
     def feed(self, item: Item, now: float, peer: str = "") -> list[PosedImage]:
-        """Take in an item that arrived ``now`` from a peer; return the images it completes.
-
-        Raises
-        ------
-        ValueError
-            If it is a text about an acquisition that makes no sense.
-        """
+        """Take in an item that arrived ``now`` from a peer; return the images it completes."""
         sender = self._sender(peer, now)
         if isinstance(item, PoseItem):
             self._note_pose(item, sender, now)
@@ -406,10 +400,7 @@ class ImageMatcher:
         return poses.at(stamp + offset)
 
     def _time(self, stamp: float, arrived: float, sender: _Sender) -> float | None:
-        """Return the time of an image, which never runs backwards; None if its stamp is odd.
-
-        A clock that was set anew, or another peer's, goes on where the stream was.
-        """
+        """Return the time of an image, which never runs backwards; None if its stamp is odd."""
         stands = sender.image_clock.stands
         if stands != sender.arrival_told:
             sender.arrival_told = stands

@@ -26,15 +26,7 @@ _FRAMES_KEPT, _FIRST_KEPT, _TIMES = 1024, 64, 2000
 
 
 class ImagesToVolumes(Protocol):
-    """Maker of volumes from images.
-
-    Attributes
-    ----------
-    takes_frames
-        True if the images are 2D frames, many of which make a volume.
-    grey
-        Conversion of the images' numbers to grey levels.
-    """
+    """Maker of volumes from images, or from many 2D frames each, by grey levels."""
 
     takes_frames: bool
     grey: GreyLevels

@@ -17,15 +17,7 @@ SLICES = ("SliceA_Probe", "SliceB_Probe")
 
 
 def slice_items(volume: Volume, curve: NeedleCurve | None = None) -> list[Item]:
-    """Return the two orthogonal slices through a volume that contain the needle, in P.
-
-    Parameters
-    ----------
-    volume
-        To cut.
-    curve
-        Needle in W; without one, the planes are Z = 0 and X = 0 of P.
-    """
+    """Return the two orthogonal slices in P through a needle in W, or else Z = 0 and X = 0."""
     items: list[Item] = []
     spacing = float(volume.spacing.min())
     for name, plane in zip(SLICES, slice_planes(volume, curve), strict=False):

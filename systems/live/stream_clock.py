@@ -13,10 +13,10 @@ _SET_ANEW = 1.0
 
 
 class StreamClock:
-    """The stamps of one device's messages, as they arrive; `last` is the last one.
+    """The stamps of one device's messages, as they arrive; `last` is the last one, 0 is no clock's.
 
-    A stamp of 0 is that of a program without a clock. The delay is how much later than its stamp a
-    message arrives; its smallest value is that of the two clocks, and of the fastest way.
+    A message's delay is that of its arrival after its stamp; the smallest is that of the clocks and
+    of the fastest way.
     """
 
     def __init__(self) -> None:

@@ -15,10 +15,9 @@ FRAME = "Frame"
 
 
 def frame_items(sweep: Sweep, name: str = FRAME) -> list[Item]:
-    """Return the frames of a sweep in order of time, each after the pose of the probe then.
+    """Return a sweep's frames in order of time, as (samples, lines, 1) images, each after its pose.
 
-    A frame is an image of (samples, lines, 1) numbers. As a sector is no grid, its matrix only
-    tells the distance between samples; its lines count as 1 mm apart.
+    A sector is no grid: the matrix tells the distance between samples; lines count as 1 mm apart.
     """
     X_LI = np.diag([sweep.geometry.sample_pitch, 1e-3, 1e-3, 1.0])
     items: list[Item] = []

@@ -17,17 +17,7 @@ _TIP_LENGTH = 1e-3
 
 
 def truth_items(needle: Needle, X_WT: RigidTransform, time: float) -> list[Item]:
-    """Return the truth as messages.
-
-    Parameters
-    ----------
-    needle
-        Needle in the tissue's frame T.
-    X_WT
-        Pose of the tissue.
-    time
-        Time in s.
-    """
+    """Return the truth as messages: the needle in T and the pose of T, at a time in s."""
     items: list[Item] = [PoseItem(TISSUE, time, RigidTransform(X_WT))]
     if needle:
         moved = needle.transformed(X_WT)

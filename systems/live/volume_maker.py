@@ -25,13 +25,7 @@ _SAME_GRID = 1e-7
 
 
 def grey_scale(dynamic_range_db: float | None) -> float:
-    """Return dB per grey level of images that show so many dB from black to white; 60 by default.
-
-    Raises
-    ------
-    ValueError
-        If that is not above 0.
-    """
+    """Return dB per grey level of images that show so many dB in all; 60 by default."""
     if dynamic_range_db is None:
         return DECIBELS_PER_LEVEL
     require_positive(dynamic_range_db=dynamic_range_db)

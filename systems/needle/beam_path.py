@@ -48,18 +48,10 @@ YIELD_LENGTH = 0.1
 class BeamPath(Immutable):
     """Path of an elastic needle, in coordinates along the aim, up and beside.
 
-    Parameters
-    ----------
-    radius
-        Radius R in m of the arc that is as far aside after 0.1 m, if the needle is not turned.
-    roll
-        Direction of the bend at the start, from up towards beside, in rad.
-    angle
-        Angle of the template to the aimed direction, towards the bend, in rad.
-    rotations
-        Depths in m at which the bevel is turned by 180 deg, ascending.
-    depth
-        Largest depth in m.
+    `radius`: radius R in m of the arc that is as far aside after 0.1 m, if the needle is not
+    turned; `roll`: direction of the bend at the start, from up towards beside, in rad; `angle`:
+    angle of the template to the aimed direction, towards the bend, in rad; `rotations`: depths in m
+    at which the bevel is turned by 180 deg, ascending; `depth`: largest depth in m.
     """
 
     radius: float

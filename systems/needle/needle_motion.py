@@ -47,12 +47,7 @@ class NeedleMotion(Protocol):
 class Feed:
     """Feed at constant speed, with depths along the aimed direction.
 
-    Parameters
-    ----------
-    parameters
-        Speed, depth and lead.
-    start
-        Time at which the feed begins, in s.
+    `parameters`: speed, depth and lead; `start`: time at which the feed begins, in s.
     """
 
     def __init__(self, parameters: FeedParameters, start: float) -> None:
@@ -84,12 +79,7 @@ class Feed:
 class HandMotion:
     """Motion by a hand's pushes, with depths that are lengths of the inserted shaft.
 
-    Parameters
-    ----------
-    parameters
-        Pushes, ramp and tremor.
-    rng
-        Generator of the tremor's frequencies and phases.
+    `parameters`: pushes, ramp and tremor; `rng`: generator of the tremor's frequencies and phases.
     """
 
     def __init__(self, parameters: InsertionParameters, rng: np.random.Generator) -> None:

@@ -44,12 +44,8 @@ class OperatorHandParameters:
 class OperatorInsertion(Immutable):
     """Teleoperated insertion so far.
 
-    Parameters
-    ----------
-    insertion
-        Insertion made by all pushes so far.
-    depth, turn_deg
-        Depth in m and angle in deg that these pushes reach once the hand has caught up with them.
+    `insertion`: insertion made by all pushes so far; `depth`, `turn_deg`: depth in m and angle in
+    deg that these pushes reach once the hand has caught up with them.
     """
 
     insertion: Insertion

@@ -21,23 +21,10 @@ _GREY = ("MONOCHROME1", "MONOCHROME2")
 
 
 def open_dicom(path: Path, *, frames: bool = False) -> VolumeFile:
-    """Open a DICOM file of 2D ultrasound frames.
+    """Open a DICOM file of 2D ultrasound frames, with their poses in ``NAME.csv`` beside it.
 
-    DICOM holds no pose of such frames: a table ``NAME.csv`` beside the file does
-    (`read_pose_table`). The frames are cut to the region of 2D tissue, whose scale is the size of
-    the pixels. Times follow from the frame times or the cine rate.
-
-    Parameters
-    ----------
-    path
-        Path of the file.
-    frames
-        Whether 2D frames are wanted; they are refused otherwise.
-
-    Raises
-    ------
-    ConfigurationError
-        If it is not valid, or there is no table; the message names the file and the fault.
+    The frames are cut to the region of 2D tissue, whose scale is the size of the pixels. Times
+    follow from the frame times or the cine rate.
     """
     pydicom = require_extra("pydicom", "dicom", path)
     pixels = require_extra("pydicom.pixels", "dicom", path)

@@ -7,13 +7,7 @@ from sonoservo.systems.files.refusals import ConfigurationError
 
 
 def require_extra(module: str, extra: str, source: object) -> ModuleType:
-    """Return a module of an optional package.
-
-    Raises
-    ------
-    ConfigurationError
-        If the package is not installed; the message names the extra that brings it.
-    """
+    """Return a module of an optional package, or name the extra that brings it."""
     try:
         return import_module(module)
     except ModuleNotFoundError as error:

@@ -52,23 +52,9 @@ class FileGrid(Immutable):
 def make_file_grid(
     directions: ArrayLike, origin: ArrayLike, shape: tuple[int, int, int], depth: str = "P"
 ) -> FileGrid:
-    """Return the mapping of a file's grid to the probe frame.
+    """Return the mapping to P of a grid with (3, 3) steps as columns and (3,) origin, in LPS in mm.
 
-    Parameters
-    ----------
-    directions
-        (3, 3) steps along the file's axes as columns, at right angles, in mm, in LPS.
-    origin
-        (3,) position of the first voxel in mm, in LPS.
-    shape
-        Numbers of voxels along the file's axes.
-    depth
-        Direction of the sound, as an anatomical letter: "L", "R", "P", "A", "S" or "I".
-
-    Raises
-    ------
-    ValueError
-        If ``depth`` is not one of these letters.
+    The depth is the direction of the sound, as an anatomical letter: L, R, P, A, S or I.
     """
     require(depth in _DEPTHS, "depth", depth, f"one of {', '.join(_DEPTHS)}")
     steps = np.asarray(directions, float)

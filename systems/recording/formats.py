@@ -10,19 +10,14 @@ from sonoservo.systems.files.volume_file import VolumeFile
 from sonoservo.systems.recording.dicom import open_dicom
 from sonoservo.systems.recording.extras import require_extra
 from sonoservo.systems.recording.meta_image import open_meta_image
+from sonoservo.systems.recording.nifti import open_nifti
 from sonoservo.systems.recording.png_folder import open_png_folder
 from sonoservo.systems.recording.tus_rec import open_tus_rec
 from sonoservo.systems.recording.zea import open_zea
 
 
 def open_hdf5(path: Path, *, frames: bool = False) -> VolumeFile:
-    """Open an HDF5 file of TUS-REC or of zea.
-
-    Raises
-    ------
-    ConfigurationError
-        If it is neither; the message names the file and the fault.
-    """
+    """Open an HDF5 file of TUS-REC or of zea."""
     h5py = require_extra("h5py", "hdf5", path)
     with refusing_failures(path, "it is no HDF5 file"), h5py.File(path, "r") as file:
         names = set(file)
@@ -43,27 +38,14 @@ FORMATS: dict[str, Callable[..., VolumeFile]] = {
     ".h5": open_hdf5,
     ".hdf5": open_hdf5,
     ".dcm": open_dicom,
+    ".nii": open_nifti,
+    ".nii.gz": open_nifti,
 }
 """Openers of files, called with a path and ``frames``; a folder holds PNG images."""
 
 
 def open_file(path: Path, *, frames: bool = False, orientation: str = "") -> VolumeFile:
-    """Open a file according to its suffix, with the axes that PLUS's fields give it.
-
-    Parameters
-    ----------
-    path
-        Path of the file.
-    frames
-        Whether 2D frames are wanted, rather than volumes.
-    orientation
-        Orientation of its images (`as_plus_means`) if the file does not state it.
-
-    Raises
-    ------
-    ConfigurationError
-        If the file is not valid; the message names the file and the fault.
-    """
+    """Open a file of volumes, or of 2D ``frames``, by its suffix, with the axes that PLUS means."""
     what = "2D frames" if frames else "volumes"
     if path.is_dir() and any(path.glob("*.[pP][nN][gG]")):
         return as_plus_means(open_png_folder(path, frames=frames), orientation)
@@ -73,8 +55,9 @@ def open_file(path: Path, *, frames: bool = False, orientation: str = "") -> Vol
         raise ConfigurationError(f"{path}: there is no such file")
     if path.stat().st_size == 0:
         raise ConfigurationError(f"{path}: it is empty")
-    if path.suffix.lower() not in FORMATS:
+    suffix = ".nii.gz" if path.name.lower().endswith(".nii.gz") else path.suffix.lower()
+    if suffix not in FORMATS:
         raise ConfigurationError(
             f"{path}: this file type is not supported; use {', '.join(FORMATS)}"
         )
-    return as_plus_means(FORMATS[path.suffix.lower()](path, frames=frames), orientation)
+    return as_plus_means(FORMATS[suffix](path, frames=frames), orientation)

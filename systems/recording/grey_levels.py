@@ -43,10 +43,7 @@ def luminance(colours: NDArray[Any]) -> NDArray[Any]:
 
 
 def grey_or_colours(pixels: NDArray[Any]) -> int:
-    """Return the number of channels of an image: 1 for grey levels, also if saved as equal colours.
-
-    Images of screens are often saved in colour although they show grey alone.
-    """
+    """Return the channels of an image: 1 for grey levels, also if saved as equal colours."""
     if pixels.ndim == 2:
         return 1
     grey = (pixels[..., :3] == pixels[..., :1]).all()
@@ -54,13 +51,7 @@ def grey_or_colours(pixels: NDArray[Any]) -> int:
 
 
 def require_echoes(file: VolumeFile, colours: bool) -> None:
-    """Refuse a file of colours unless a person wants their luminance.
-
-    Raises
-    ------
-    ConfigurationError
-        If it holds colours.
-    """
+    """Refuse a file of colours unless a person wants their luminance."""
     if file.channels > 1 and not colours:
         raise ConfigurationError(
             f"{file.path}: it holds colours ({file.channels} numbers a voxel, or channels), and "
@@ -69,13 +60,7 @@ def require_echoes(file: VolumeFile, colours: bool) -> None:
 
 
 def read_numbers(file: VolumeFile, number: int) -> NDArray[Any]:
-    """Return the numbers of a volume or frame as the file has them; those of colours are grey.
-
-    Raises
-    ------
-    ConfigurationError
-        If the file ends earlier.
-    """
+    """Return the numbers of a volume or frame as the file has them; those of colours are grey."""
     numbers = file.read(number)
     return luminance(numbers) if file.channels > 1 else numbers
 
@@ -83,16 +68,8 @@ def read_numbers(file: VolumeFile, number: int) -> NDArray[Any]:
 def void_flags(numbers: NDArray[Any], void: float | None = None) -> NDArray[np.bool_] | None:
     """Return flags of the numbers that stand for "nothing was seen here"; None if there are none.
 
-    NaN, infinity and numbers beyond 1e30 do. So does a number that lies further from the others
-    than these do from one another: a negative lowest one, as -32768 that fills the space around a
-    sector, or the largest of an integer type of 16 bits or more.
-
-    Parameters
-    ----------
-    numbers
-        Numbers of a volume or frame.
-    void
-        Number that stands for it too, by a person's choice.
+    That is NaN, infinity, above 1e30, the given one, or a number further from the others than these
+    from one another: a negative lowest one, or the largest of an integer type of 16 bits or more.
     """
     flags = np.zeros(numbers.shape, bool)
     if numbers.dtype.kind == "f":
@@ -150,10 +127,7 @@ class GreyWindow(Immutable):
         )
 
     def grey(self, voxels: NDArray[Any], void: NDArray[np.bool_] | None = None) -> NDArray[Any]:
-        """Return grey levels in C order: unchanged uint8 for the window 0 to 255, else float32.
-
-        They are 0 where ``void`` is set.
-        """
+        """Return grey levels in C order, 0 where void: uint8 if unchanged, else float32."""
         if voxels.dtype == np.uint8 and (self.low, self.high) == (0, 255):
             levels = np.ascontiguousarray(voxels)
             return levels if void is None else np.where(void, np.uint8(0), levels)
@@ -208,18 +182,9 @@ def shows_something(voxels: NDArray[Any]) -> bool:
 
 
 def window_of_first(volumes: Iterable[NDArray[Any]], enough: int) -> tuple[GreyWindow, int]:
-    """Choose the window of a recording from its first volumes or frames that show something.
+    """Choose the window from the first ``enough`` volumes that show something.
 
-    Parameters
-    ----------
-    volumes
-        First volumes, read one after the other.
-    enough
-        Number of volumes that choose.
-
-    Returns
-    -------
-    The window, and the number of volumes before the last of these that show nothing.
+    Returns it, and the number of volumes before the last of these that show nothing.
     """
     chosen: list[NDArray[Any]] = []
     blank = 0

@@ -78,18 +78,6 @@ def open_meta_image(path: Path, *, frames: bool = False) -> VolumeFile:
     """Open a MetaImage file with one volume, or with a sequence of them along a fourth axis.
 
     PLUS also stores tracked 2D frames in such files, one after the other along the third axis.
-
-    Parameters
-    ----------
-    path
-        Path of the file.
-    frames
-        Whether to open 2D frames and refuse volumes, rather than the reverse.
-
-    Raises
-    ------
-    ConfigurationError
-        If the file is not valid; the message names the file and the fault.
     """
     with refusing_failures(path, "its header is not valid"):
         return _describe(path, *_read_header(path), frames)

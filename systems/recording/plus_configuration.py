@@ -17,17 +17,7 @@ _MOST_BYTES = 1 << 24
 
 @dataclass(frozen=True)
 class KnownTransform(Immutable):
-    """A transform of a configuration.
-
-    Parameters
-    ----------
-    matrix
-        (4, 4) matrix, in mm.
-    error
-        Error of its calibration, in mm; NaN if the configuration does not state it.
-    date
-        Date of its calibration; empty if the configuration does not state it.
-    """
+    """A (4, 4) transform in mm, its error in mm (NaN if unknown), and its date."""
 
     matrix: NDArray[np.float64]
     error: float = np.nan
@@ -83,13 +73,7 @@ class PlusConfiguration(Immutable):
 
 
 def read_plus_configuration(path: Path) -> PlusConfiguration:
-    """Read a device-set configuration of PLUS (``PlusConfiguration``).
-
-    Raises
-    ------
-    ConfigurationError
-        If it is none, or a transform is not valid; the message names the file and the fault.
-    """
+    """Read a device-set configuration of PLUS (``PlusConfiguration``)."""
     if not path.is_file():
         raise ConfigurationError(f"{path}: there is no such file")
     with refusing_failures(path, "it is not XML"):
@@ -171,24 +155,11 @@ def _numbers_of(line: str) -> list[str]:
 
 
 def read_calibration(text: str) -> tuple[str, NDArray[np.float64]]:
-    """Read a calibration: 16 numbers row by row in mm, or a text file with them.
+    """Read name and (4, 4) matrix of a calibration in mm: 16 numbers row by row, or a file of them.
 
-    Parameters
-    ----------
-    text
-        The numbers or the path of the file, after ``NAME=`` if it is another transform than
-        ``ImageToProbe``. Lines of names are passed over. A file of eight rows holds two matrices,
-        the first of which turns pixels into mm, and their product is meant (``calib_matrix.csv`` of
-        TUS-REC).
-
-    Returns
-    -------
-    Name and (4, 4) matrix.
-
-    Raises
-    ------
-    ConfigurationError
-        If it is none.
+    ``NAME=`` before it names another transform than ImageToProbe. Lines of names are passed over.
+    Of two matrices, the first turns pixels into mm, and their product is meant
+    (``calib_matrix.csv`` of TUS-REC).
     """
     name, equals, rest = text.partition("=")
     if not equals or "To" not in name or " " in name.strip():

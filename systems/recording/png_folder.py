@@ -19,20 +19,7 @@ TABLE = "poses.csv"
 def open_png_folder(path: Path, *, frames: bool = False) -> VolumeFile:
     """Open a folder of PNG images, in the order of their names, with a table (`read_pose_table`).
 
-    Columns of pixels run across, rows away from the probe. The size of the pixels is that of the
-    calibration.
-
-    Parameters
-    ----------
-    path
-        Path of the folder.
-    frames
-        Whether 2D frames are wanted; they are refused otherwise.
-
-    Raises
-    ------
-    ConfigurationError
-        If there are no images or no table, or it is not valid.
+    Columns of pixels run across, rows away from the probe; the calibration tells their size.
     """
     image = require_extra("PIL.Image", "images", path)
     files = sorted(each for each in path.iterdir() if each.suffix.lower() == ".png")

@@ -50,7 +50,7 @@ class Recording:
     Parameters
     ----------
     path
-        Path of a ``.nrrd``, ``.nhdr``, ``.mha`` or ``.mhd`` file with one volume or a sequence.
+        Path of a file of one of the `FORMATS`, with one volume or a sequence.
     depth
         Direction of the sound in the file's space, as an anatomical letter (`make_file_grid`).
     window
@@ -159,13 +159,7 @@ class Recording:
         return (self[k] for k in range(len(self)))
 
     def __getitem__(self, number: int) -> Volume:
-        """Read a volume.
-
-        Raises
-        ------
-        ConfigurationError
-            If the file is damaged at that volume.
-        """
+        """Read a volume."""
         with refusing_failures(self.path, f"volume {number}"):
             return self._read(number)
 
@@ -277,13 +271,7 @@ class Recording:
 def _spacing_of_volumes(
     path: Path, frames: Mapping[str, Mapping[int, str]], file: VolumeFile
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return steps and origin of the header, or with the spacing that its volumes state.
-
-    Raises
-    ------
-    ConfigurationError
-        If they state several.
-    """
+    """Return steps and origin of the header, or with the one spacing that its volumes state."""
     stated = set(frames.get("ElementSpacing", {}).values())
     if not stated:
         return file.directions, file.origin
@@ -299,10 +287,7 @@ def _spacing_of_volumes(
 def _pixel_grid(
     directions: NDArray[np.float64], origin: NDArray[np.float64], matrix: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the header's steps and origin in mm, with the size of voxels that a transform states.
-
-    A transform that leads from voxels to mm holds their size, whatever the header's spacing is.
-    """
+    """Return steps and origin in mm with the size of voxels that a transform from voxels states."""
     stated, said = (np.linalg.norm(each[:3, :3], axis=0) for each in (directions, matrix))
     if np.allclose(stated, said, rtol=1e-3):
         return directions, origin
@@ -311,15 +296,7 @@ def _pixel_grid(
 
 
 def _rigid(path: Path, name: str, matrix: NDArray[np.float64]) -> RigidTransform:
-    """Return the pose of L in W, in m, from a transform in mm.
-
-    A calibration may be a little askew; the nearest rotation is taken.
-
-    Raises
-    ------
-    ConfigurationError
-        If it mirrors, or is no rotation.
-    """
+    """Return the pose of L in W, in m, nearest to a transform in mm, perhaps askew."""
     R = matrix[:3, :3]
     if np.abs(R.T @ R - np.eye(3)).max() > _ASKEW or np.linalg.det(R) < 0:
         raise ConfigurationError(f"{path}: {name}: {R.round(4).tolist()} is not a rotation")

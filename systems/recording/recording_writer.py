@@ -55,13 +55,7 @@ class RecordingWriter:
         self.close()
 
     def append(self, volume: Volume) -> None:
-        """Write a volume.
-
-        Raises
-        ------
-        ValueError
-            If its grid, scale of grey levels or point spread differs from the first volume's.
-        """
+        """Write a volume, with the grid, scale of grey levels and point spread of the first one."""
         grid = describe_grid(volume)
         if self._volumes is None or self._acquisition is None:
             self._grid = grid

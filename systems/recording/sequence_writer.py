@@ -67,22 +67,7 @@ class SequenceWriter:
         return len(self._times)
 
     def append(self, array: NDArray[Any], time: float, fields: Mapping[str, str]) -> None:
-        """Write an array.
-
-        Parameters
-        ----------
-        array
-            Array of uint8 or float32; all arrays must have the same shape and type.
-        time
-            Time of the array in s, which becomes its index value.
-        fields
-            Further fields of the array, stored as PLUS does, ``Seq_Frame0012_Name``.
-
-        Raises
-        ------
-        ValueError
-            If the shape or type differs from the first array's.
-        """
+        """Write an array, like the first one, at a time in s, with fields as of PLUS."""
         if not self._times:
             self._shape, self._dtype = array.shape, array.dtype
         if (array.shape, array.dtype) != (self._shape, self._dtype):

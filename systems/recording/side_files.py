@@ -185,13 +185,7 @@ def read_acquisition(path: Path) -> Acquisition:
 
 
 def parse_acquisition(first: dict[str, Any], lines: Sequence[dict[str, Any]]) -> Acquisition:
-    """Return the acquisition that a first line and a line for each volume describe.
-
-    Raises
-    ------
-    ValueError, TypeError, LookupError
-        If a value is missing or not plausible.
-    """
+    """Return the acquisition that a first line and a line for each volume describe."""
     geometry, spread = first.pop("geometry"), first.pop("point_spread", None)
     swept = SweepGeometry(**geometry) if geometry else None
     return Acquisition(

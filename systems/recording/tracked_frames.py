@@ -133,13 +133,7 @@ class TrackedFrames:
         self.notes = [*self._file.notes, f"poses: {chain}", *items.note("frame")]
 
     def _from_the_image(self, chain: TransformChain, names: list[str]) -> TransformChain:
-        """Return a chain that begins at the image, if only the calibration is missing in it.
-
-        Raises
-        ------
-        ConfigurationError
-            If it begins at the probe, and the size of the pixels is unknown.
-        """
+        """Return a chain that begins at the image, if only the calibration is missing in it."""
         if chain.start.startswith("Image"):
             return chain
         own = find_chain(self.path, names, f"ImageTo{chain.start}") if (
@@ -175,13 +169,7 @@ class TrackedFrames:
         return (self[k] for k in range(len(self)))
 
     def __getitem__(self, number: int) -> NDArray[np.uint8] | NDArray[np.float32]:
-        """Read the (ni, nj) grey levels of a frame.
-
-        Raises
-        ------
-        ConfigurationError
-            If the file is damaged at that frame.
-        """
+        """Read the (ni, nj) grey levels of a frame."""
         with refusing_failures(self.path, f"frame {number}"):
             pixels = read_numbers(self._file, int(self.numbers[number]))[..., 0][self._clip]
             void = void_flags(pixels, self._void)

@@ -29,15 +29,7 @@ _PART = re.compile(r"(Image|Probe|Transducer|Plane|Pixel)\w*")
 
 @dataclass(frozen=True)
 class Link(Immutable):
-    """A named transform in a chain.
-
-    Parameters
-    ----------
-    name
-        Its name, such as ``ProbeToTracker``.
-    inverted
-        Whether its inverse is meant.
-    """
+    """A named transform in a chain, or its inverse."""
 
     name: str
     inverted: bool = False
@@ -48,15 +40,7 @@ class Link(Immutable):
 
 @dataclass(frozen=True)
 class TransformChain(Immutable):
-    """Transforms that lead from one frame to another when they are applied in order.
-
-    Parameters
-    ----------
-    start, end
-        Frames between which it leads.
-    links
-        Transforms, in the order in which they are applied to a point.
-    """
+    """Transforms from one frame to another, in the order in which they are applied to a point."""
 
     start: str
     end: str
@@ -85,23 +69,9 @@ def find_chain(
 ) -> TransformChain | None:
     """Return the chain that gives the poses; None if there are no transforms, or none are wanted.
 
-    Parameters
-    ----------
-    path
-        Path of the file, for errors.
-    names
-        Names of the transforms that are known, such as ``ImageToProbe``.
-    poses
-        What a person asked for: names of transforms to be applied one after the other, with commas
-        between them, each as it stands or inverted; or the two ends of a chain that is to be
-        found, such as ``ImageToReference``; or "none". None finds the chain to a fixed frame.
-    starts
-        Frames from which a chain may lead, the preferred ones first.
-
-    Raises
-    ------
-    ConfigurationError
-        If there is no such chain; the message says what is missing.
+    ``poses`` names transforms to be applied in order, each as it stands or inverted, or the ends of
+    a chain that is to be found, or "none"; None finds the one to a fixed frame, from the first of
+    the ``starts``.
     """
     known = sorted({name.removesuffix("Transform") for name in names})
     if poses == "none" or (poses is None and not known):

@@ -22,18 +22,6 @@ def open_tus_rec(path: Path, *, frames: bool = False) -> VolumeFile:
 
     ``tforms`` may stand in a file of the same name in the folder ``transfs`` beside ``frames``. The
     calibration is that of the nearest ``calib_matrix.csv`` in the folders above.
-
-    Parameters
-    ----------
-    path
-        Path of the file.
-    frames
-        Whether 2D frames are wanted; they are refused otherwise.
-
-    Raises
-    ------
-    ConfigurationError
-        If it is not valid; the message names the file and the fault.
     """
     h5py = require_extra("h5py", "hdf5", path)
     with refusing_failures(path, "it is no scan of TUS-REC"):

@@ -23,19 +23,7 @@ _MIN_STEP = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class ValidItems(Immutable):
-    """Volumes or frames of a file that can be used.
-
-    Parameters
-    ----------
-    numbers
-        (n,) their numbers in the file.
-    matrices
-        (n, 4, 4) product of the chain of their transforms, in mm; the identity without a chain.
-    times
-        (n,) times in s.
-    left_out
-        Numbers of those that were left out, by reason.
-    """
+    """Numbers, (n, 4, 4) poses in mm and times in s of what is usable; why others are not."""
 
     numbers: NDArray[np.int64]
     matrices: NDArray[np.float64]
@@ -68,29 +56,7 @@ def choose_items(
     """Return the volumes or frames that are not marked as invalid, and have a pose and a time.
 
     An odd item costs itself: one without a pose or time, or with a time that breaks the order, is
-    left out. Of times out of order, the fewest are left out.
-
-    Parameters
-    ----------
-    path
-        Path of the file, for errors.
-    count
-        Number of volumes or frames.
-    fields
-        Their fields (`VolumeFile.frame_fields`).
-    chain
-        Transforms that give their poses; None if poses do not matter.
-    constants
-        (4, 4) transforms that all of them share, by name, in mm.
-    times
-        (count,) times in s; NaN where there is none.
-    what
-        Word for one of them.
-
-    Raises
-    ------
-    ConfigurationError
-        If none is left; the message says why.
+    left out; of times out of order, the fewest are.
     """
     left_out: dict[str, list[int]] = {}
     matrices, numbers = [], []
@@ -164,24 +130,7 @@ def frame_times(count: int, stamps: Mapping[int, str]) -> NDArray[np.float64]:
 def check_times(
     path: Path, times: NDArray[np.float64], numbers: Iterable[int], what: str = "volume"
 ) -> None:
-    """Check that the times of volumes or frames are plausible, and rise.
-
-    Parameters
-    ----------
-    path
-        Path of the file, for errors.
-    times
-        (n,) times in s.
-    numbers
-        Numbers of the volumes or frames in the file, for errors.
-    what
-        Word for one of them, for errors.
-
-    Raises
-    ------
-    ConfigurationError
-        If they are not; the message names the first volume whose time is wrong.
-    """
+    """Refuse (n,) times in s of volumes or frames that are not plausible, or do not rise."""
     plausible = np.abs(times) <= MAX_TIME
     rising = np.concatenate([[True], np.diff(times) >= _MIN_STEP])
     wrong = np.flatnonzero(~(plausible & rising))
@@ -198,13 +147,7 @@ def check_times(
 
 
 def read_matrix(path: Path, name: str, text: str) -> NDArray[np.float64]:
-    """Return the (4, 4) matrix of a transform as PLUS writes it: row by row, in mm.
-
-    Raises
-    ------
-    ConfigurationError
-        If it is none; the message names the file and the transform.
-    """
+    """Return the (4, 4) matrix of a transform as PLUS writes it: row by row, in mm."""
     try:
         matrix = np.array(text.split(), float).reshape(4, 4)
         require_homogeneous(matrix, MAX_POSITION)
@@ -217,15 +160,7 @@ def read_matrix(path: Path, name: str, text: str) -> NDArray[np.float64]:
 
 
 def require_homogeneous(matrix: ArrayLike, max_position: float) -> None:
-    """Raise ValueError unless (..., 4, 4) matrices are finite and have the last row 0 0 0 1.
-
-    Parameters
-    ----------
-    matrix
-        Matrices to check.
-    max_position
-        Largest coordinate of their positions, in the same unit.
-    """
+    """Raise ValueError unless (..., 4, 4) matrices are finite, within reach, and end in 0 0 0 1."""
     matrices = np.asarray(matrix, float)
     right = (
         matrices.shape[-2:] == (4, 4)

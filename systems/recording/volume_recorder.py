@@ -20,24 +20,7 @@ from sonoservo.systems.signals.volume import Volume
 
 
 class _Recording:
-    """Files of one run, from its start until they are closed.
-
-    Parameters
-    ----------
-    path
-        Path of the recording, ``NAME.seq.nrrd``.
-    settings
-        Settings that a tracker needs in addition to the volumes.
-    sweeps
-        Whether to record sweeps too.
-
-    Attributes
-    ----------
-    volume_time
-        Time of the newest volume, in s.
-    closed
-        Whether the files have their final names.
-    """
+    """Files of one run, from its start until they are closed and have their final names."""
 
     def __init__(self, path: Path, settings: Mapping[str, Any] | None, sweeps: bool) -> None:
         self.volumes = RecordingWriter(path, settings)

@@ -25,18 +25,6 @@ def open_zea(path: Path, *, frames: bool = False) -> VolumeFile:
     A map has ``pixels`` (n, x, z, y), or (n, x, z) for 2D frames, and the ``extent`` of their
     centres in m. X, z and y become L, P and S. Times and poses are read where `ZeaWriter` wrote
     them.
-
-    Parameters
-    ----------
-    path
-        Path of the file.
-    frames
-        Whether 2D frames are wanted, rather than volumes.
-
-    Raises
-    ------
-    ConfigurationError
-        If it is not valid or holds no images; the message names the file and the fault.
     """
     h5py = require_extra("h5py", "hdf5", path)
     with refusing_failures(path, "it is no file of zea"):
@@ -119,18 +107,7 @@ def _poses(file: Any, count: int) -> tuple[dict[str, str], NDArray[np.float64] |
 
 
 class ZeaWriter:
-    """Writes volumes one by one as a file of zea, with times, and poses in m.
-
-    Parameters
-    ----------
-    path
-        Path of the file, which must end in ``.hdf5`` or ``.h5``.
-
-    Raises
-    ------
-    ValueError
-        If the path has another suffix.
-    """
+    """Writes volumes one by one as a file of zea, with times in s, and poses in m."""
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
@@ -147,13 +124,7 @@ class ZeaWriter:
         self.close()
 
     def append(self, volume: Volume, mask: NDArray[np.bool_] | None = None) -> None:
-        """Write a volume, and perhaps the mask of the needle in it.
-
-        Raises
-        ------
-        ValueError
-            If it lies on another grid than the first one.
-        """
+        """Write a volume on the first one's grid, and perhaps the mask of the needle in it."""
         grid = (volume.intensities.shape, *volume.origin, *volume.spacing, mask is None)
         if self._file is None:
             self._begin(volume, mask)

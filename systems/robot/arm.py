@@ -57,6 +57,9 @@ class Arm:
     directives
         Drake model directives that add a model named ``arm`` and weld its base to the world. The
         model's default joint positions are the home posture, near which the arm stays.
+    packages
+        Folders of the packages that the model's files name in ``package://NAME/...``, by name,
+        relative to the YAML file. Meshes may be OBJ, glTF, DAE or STL.
     flange
         Frame of the model that holds the probe.
     servo
@@ -70,6 +73,7 @@ class Arm:
     """
 
     directives: list[ModelDirective] = field(default_factory=list)
+    packages: dict[str, str] = field(default_factory=dict)
     flange: str = "flange"
     servo: JointServo = field(default_factory=JointServo)
     max_speed: list[float] = field(default_factory=list)
@@ -84,18 +88,8 @@ class Arm:
 class ArmWithProbe:
     """Arm and its probe in a plant.
 
-    Parameters
-    ----------
-    plant
-        Plant that contains them.
-    model_instance
-        Model instance with the arm's joints.
-    probe
-        Body of the probe, whose frame is P.
-    wrist
-        Index of the weld between flange and probe. A wrist force sensor measures its reaction.
-    frame
-        Frame P, as calibrated.
+    `wrist` is the weld between flange and probe, whose reaction the wrist force sensor measures;
+    `frame` is P as calibrated.
     """
 
     plant: MultibodyPlant
@@ -131,7 +125,7 @@ def load_arm(name: str) -> Arm:
 @read_once
 def _read_arm(path: Path) -> Arm:
     arm = load_typed(Arm, read_yaml(path), str(path))
-    resolve_files(arm.directives, path)
+    resolve_files(arm.directives, path, arm.packages)
     plant = MultibodyPlant(time_step=0)
     try:
         instance = AddArm(plant, arm)
@@ -203,14 +197,9 @@ def _check(plant: MultibodyPlant, instance: ModelInstanceIndex, arm: Arm) -> Non
 def AddArm(plant: MultibodyPlant, arm: Arm) -> ModelInstanceIndex:
     """Add an arm without a probe to a plant and return its model instance.
 
-    Joints without a motor in the model's file are given one.
-
-    Raises
-    ------
-    ValueError
-        If the directives do not produce an arm.
+    Joints without a motor get one. ValueError if the directives produce no arm.
     """
-    add_directives(plant, arm.directives)
+    add_directives(plant, arm.directives, arm.packages)
     if not plant.HasModelInstanceNamed("arm"):
         raise ValueError("directives: no add_model adds a model named 'arm'")
     instance = plant.GetModelInstanceByName("arm")

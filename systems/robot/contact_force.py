@@ -15,15 +15,7 @@ def normal_force(
 ) -> float:
     """Return the force in N that presses the phantom's top inwards, summed over all contacts.
 
-    Parameters
-    ----------
-    contact
-        Contacts of a plant in which only probe and phantom touch.
-    X_WT
-        Pose of the phantom.
-    surface
-        Surface of the phantom, along whose normal at the contact the force is taken; the top is
-        level by default.
+    It is taken along the normal of `surface` at the contact; the top is level by default.
     """
     total = np.zeros(3)
     normal = X_WT.rotation().matrix()[:, 2]

@@ -1,5 +1,6 @@
 """Drake model directives, with errors that name the directive."""
 
+from collections.abc import Mapping
 from pathlib import Path
 
 from pydrake.multibody.parsing import (
@@ -12,6 +13,7 @@ from pydrake.multibody.plant import MultibodyPlant
 
 from sonoservo.models import model_path
 from sonoservo.systems.files.refusals import ConfigurationError
+from sonoservo.systems.robot.stl_meshes import without_stl
 
 _WANTED = {
     "add_model": ("file", "name"),
@@ -24,22 +26,19 @@ _WANTED = {
 """Kinds of directives and their required fields, without which Drake aborts the process."""
 
 
-def resolve_files(directives: list[ModelDirective], path: Path) -> None:
-    """Check directives from a YAML file, and make their relative file names absolute.
+def resolve_files(
+    directives: list[ModelDirective], path: Path, packages: dict[str, str] | None = None
+) -> None:
+    """Check directives from a YAML file, and make their relative names absolute, in place.
 
-    Parameters
-    ----------
-    directives
-        Directives, which are changed in place. Their file names are relative to the YAML file. URLs
-        (``package://``, ``file://``) remain unchanged.
-    path
-        Path of the YAML file.
-
-    Raises
-    ------
-    ConfigurationError
-        If a field or a file is missing.
+    `packages` are folders relative to the YAML file. ConfigurationError if a field, a file or a
+    folder is missing.
     """
+    packages = {} if packages is None else packages
+    for name, folder in packages.items():
+        packages[name] = str((path.parent / folder).absolute())
+        if not Path(packages[name]).is_dir():
+            raise ConfigurationError(f"{path}: packages.{name}: there is no folder {folder}")
     for number, directive in enumerate(directives):
         kinds = [kind for kind in _WANTED if getattr(directive, kind) is not None]
         where = f"{path}: directives.{number}"
@@ -56,19 +55,22 @@ def resolve_files(directives: list[ModelDirective], path: Path) -> None:
             file = (path.parent / content.file).absolute()
             if not file.is_file():
                 raise ConfigurationError(f"{where}.{kind}.file: there is no file {file}")
-            content.file = f"file://{file}"
+            content.file = f"file://{without_stl(file, packages)}"
 
 
-def add_directives(plant: MultibodyPlant, directives: list[ModelDirective]) -> None:
-    """Add the models that directives describe to a plant.
+def add_directives(
+    plant: MultibodyPlant,
+    directives: list[ModelDirective],
+    packages: Mapping[str, str] | None = None,
+) -> None:
+    """Add the models that directives describe to a plant; they may name files in packages.
 
-    Raises
-    ------
-    ValueError
-        If Drake rejects a directive.
+    ValueError if Drake rejects a directive.
     """
     parser = Parser(plant)
     parser.package_map().AddPackageXml(str(model_path("package.xml")))
+    for name, folder in (packages or {}).items():
+        parser.package_map().Add(name, folder)
     try:
         ProcessModelDirectives(ModelDirectives(directives=directives), parser)
     except RuntimeError as error:

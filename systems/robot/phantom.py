@@ -76,13 +76,7 @@ class PhantomContact:
 
 
 def load_contact(name: str) -> PhantomContact:
-    """Read the contact properties of a phantom from YAML.
-
-    Parameters
-    ----------
-    name
-        Name of a file in ``models/phantoms`` ("agar"), or a path.
-    """
+    """Read the contact of a phantom's surface from its YAML file, by name or path."""
     return _read_contact(model_file("phantoms", name))
 
 
@@ -94,16 +88,7 @@ def _read_contact(path: Path) -> PhantomContact:
 
 @dataclass(frozen=True)
 class Phantom:
-    """Phantom in a plant.
-
-    Parameters
-    ----------
-    model_instance
-        Model instance with the six joints of the stage, actuated in the order x, y, z, roll, pitch,
-        yaw.
-    body
-        Body of the phantom, whose frame is T.
-    """
+    """Phantom in a plant: its model instance, and the body whose frame is T."""
 
     model_instance: ModelInstanceIndex
     body: RigidBody
@@ -118,14 +103,7 @@ def AddPhantom(
 ) -> Phantom:
     """Add a phantom on its stage to a plant, with the stage's origin at the origin of W.
 
-    Parameters
-    ----------
-    plant, scene_graph
-        Plant, not yet finalized, and its scene graph.
-    surface
-        Surface of its body.
-    contact
-        Contact properties of that surface; those of agar by default.
+    The contact is that of agar by default.
     """
     contact = contact or PhantomContact()
     (instance,) = Parser(plant).AddModels(str(model_path("phantoms/phantom.sdf")))

@@ -176,20 +176,8 @@ def next_move(
 ) -> Move | None:
     """Return the move that brings the phantom to its target, or None if no move is due.
 
-    A move under way is not interrupted, so each one goes from rest to rest.
-
-    Parameters
-    ----------
-    moves
-        Moves so far.
-    target
-        (6,) wanted displacement from the pose at rest: x, y, z in m, and roll, pitch, yaw in deg.
-    time
-        Present time in s.
-    speed
-        (6,) highest mean speeds, in m/s and deg/s.
-    min_duration
-        Shortest duration of a move, in s.
+    A move under way is not interrupted, so each one goes from rest to rest. Target and highest mean
+    speeds are those of x, y, z in m and roll, pitch, yaw in deg.
     """
     if moves and time < moves[-1].start + moves[-1].duration:
         return None

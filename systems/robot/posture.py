@@ -123,15 +123,7 @@ def _solve(
 def reachable(
     arm: ArmWithProbe, poses: Sequence[RigidTransform], near: NDArray[np.float64] | None = None
 ) -> list[bool]:
-    """Return for each pose X_WP of the probe whether the arm can reach it near a posture.
-
-    Parameters
-    ----------
-    arm, near
-        Arm and posture, as in `solve_posture`.
-    poses
-        Poses of the probe.
-    """
+    """Return for each pose X_WP of the probe whether the arm can reach it near a posture."""
 
     def solvable(pose: RigidTransform) -> bool:
         try:

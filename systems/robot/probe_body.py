@@ -123,12 +123,9 @@ def dome_semi_axes(
 
 
 def AddProbeBody(plant: MultibodyPlant, body: ProbeBody) -> ModelInstanceIndex:
-    """Add the body of a probe to a plant and return its model instance.
+    """Add a probe's body to a plant, and return its model instance.
 
-    Raises
-    ------
-    ValueError
-        If the directives do not produce a probe.
+    ValueError if its directives produce none.
     """
     if not body.directives:
         return _add_assumed_body(plant, body.assumed)
@@ -146,14 +143,9 @@ def AddProbeBody(plant: MultibodyPlant, body: ProbeBody) -> ModelInstanceIndex:
 
 
 def distance_to_probe(body: ProbeBody, points: NDArray[np.float64]) -> float:
-    """Return the smallest distance in m of points from a probe's body, negative inside it.
+    """Return the smallest distance in m of (m, 3) points in P from a probe's body.
 
-    Parameters
-    ----------
-    body
-        Body of the probe, of which the shapes that touch the phantom count.
-    points
-        (m, 3) points in P, in m.
+    It is negative inside.
     """
     builder = DiagramBuilder()
     plant, scene_graph = AddMultibodyPlantSceneGraph(builder, 0.0)

@@ -103,18 +103,9 @@ class CrossSectionParameters:
 def variance_image(
     intensities: NDArray[np.uint8], mean: float, *, deviations: str = "both"
 ) -> NDArray[np.float32]:
-    """Return the squared deviation from the mean of the image (eq. 1).
+    """Return the squared deviation from the whole image's ``mean`` (eq. 1); see `DEVIATIONS`.
 
     The paper divides it by its largest value, which changes no correlation coefficient.
-
-    Parameters
-    ----------
-    intensities
-        Image or a part of it.
-    mean
-        Mean of the whole image.
-    deviations
-        Deviations to show; see `CrossSectionParameters`.
     """
     deviation = intensities.astype(np.float32) - np.float32(mean)
     if deviations == "signed":
@@ -144,32 +135,14 @@ def find_needle(image: ImageSlice, parameters: CrossSectionParameters) -> Floats
 def start_at(
     image: ImageSlice, centre: Floats, parameters: CrossSectionParameters
 ) -> CrossSection | NotFound:
-    """Find the first cross-section, near a point found by `find_needle`.
-
-    Parameters
-    ----------
-    image
-        First slice.
-    centre
-        (2,) x and y of the point in P, in m.
-    parameters
-        Settings of the search.
-    """
+    """Find the first cross-section, near (2,) x and y in P, in m."""
     return _at(image, np.asarray(centre, dtype=float), 1.0, image_mean(image), parameters)
 
 
 def find_first(
     images: Sequence[ImageSlice], parameters: CrossSectionParameters
 ) -> CrossSection | NotFound:
-    """Find the first cross-section in the newest slice.
-
-    Parameters
-    ----------
-    images
-        Slices since the last attempt, oldest first.
-    parameters
-        Settings of the search.
-    """
+    """Find the first cross-section in the newest of the slices since the last attempt."""
     image = images[-1]
     if parameters.start is not None:
         reach = [max(each, parameters.start_reach) for each in parameters.search]
@@ -187,19 +160,7 @@ def expected_position(
     shape: NeedleShape | NotFound,
     parameters: CrossSectionParameters,
 ) -> Floats:
-    """Return the expected position of the needle in the next slice: (2,) x and y in P, in m.
-
-    Parameters
-    ----------
-    image
-        Next slice.
-    last
-        Cross-section found last.
-    shape
-        Predicted shape, or a `NotFound`.
-    parameters
-        Settings of the search.
-    """
+    """Return the expected (2,) x and y in P, in m, of the needle in the next slice."""
     if isinstance(shape, NeedleShape) and shape.observed >= parameters.follow_shape_from:
         depth = shape.X_WI.inverse().multiply(image.X_WP.translation())[2]
         p_W = shape.positions([depth])[0]
@@ -215,21 +176,10 @@ def find_again(
     expected: Floats,
     parameters: CrossSectionParameters,
 ) -> CrossSection | NotFound:
-    """Find a cross-section in the next slice.
+    """Find a cross-section in the next slice, around ``expected``: (2,) x and y in P, in m.
 
     Normalized cross-correlation with the last template identifies the needle's echo. The vertex of
     that echo's front, or the match itself, gives the position.
-
-    Parameters
-    ----------
-    image
-        Next slice.
-    last
-        Cross-section found last.
-    expected
-        (2,) centre of the region of interest: x and y in P, in m.
-    parameters
-        Settings of the search.
     """
     size = np.array(last.template.shape)
     first = np.rint(image.index(expected)).astype(int) - size

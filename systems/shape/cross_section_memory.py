@@ -62,17 +62,7 @@ class CrossSectionMemory(LeafSystem):
 def remembered(
     track: CrossSectionTrack, image: ImageSlice, found: CrossSection | NotFound, start_slices: int
 ) -> CrossSectionTrack:
-    """Return the track after one more slice.
-
-    Parameters
-    ----------
-    track
-        Track before the slice.
-    image, found
-        Slice, and the cross-section in it.
-    start_slices
-        Number of slices in one attempt to find the first cross-section.
-    """
+    """Return the track after one more slice and the cross-section in it."""
     last = found if isinstance(found, CrossSection) else track.last
     images = () if last is not None else (*track.images, image)
     # After a failed attempt, the next one begins with new slices.

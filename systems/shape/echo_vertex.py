@@ -15,21 +15,11 @@ Floats = NDArray[np.float64]
 def echo_vertex(
     image: ImageSlice, near: Floats, fitted: Sequence[float], reach: Sequence[float]
 ) -> Floats | NotFound:
-    """Return the (2,) vertex in P, in m, of the brightest echo near a point.
+    """Return the (2,) vertex in P, in m, of the brightest echo within ``reach`` of ``near``.
 
     The echo of a thin needle is the beam's point spread function, which is nearly a Gaussian. Its
-    logarithm is a paraboloid. It is fitted by least squares to all pixels around the brightest.
-
-    Parameters
-    ----------
-    image
-        Slice.
-    near
-        (2,) x and y in P of the point, in m.
-    fitted
-        Half width and half height of the part of the echo that is fitted, in m.
-    reach
-        Reach of the search along X and Y, in m.
+    logarithm is a paraboloid, fitted by least squares to the pixels within ``fitted`` of the
+    brightest. Both are half widths and half heights in m.
     """
     half = np.maximum(np.rint(fitted / image.spacing).astype(int), 1)
     pixels = np.maximum(np.rint(reach / image.spacing).astype(int), 1)

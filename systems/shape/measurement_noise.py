@@ -44,14 +44,10 @@ class MeasurementNoise:
         require(0 < self.independence <= 1, "independence", self.independence, allowed)
 
     def log_likelihood(self, squares: Floats, total: float) -> Floats:
-        """Return the logarithm of the likelihood, up to a constant.
+        """Return (n,) logarithms of the likelihood of squared residuals, up to a constant.
 
-        Parameters
-        ----------
-        squares
-            (n,) weighted sum of squared residuals about the best origin of each path, in m^2.
-        total
-            Sum of the weights of the cross-sections, each of which measures x and y.
+        ``squares`` are the (n,) weighted sums in m^2 about each path's best origin, ``total`` that
+        of the weights of the cross-sections, each of which measures x and y.
         """
         degrees = self.confidence + max(2 * total - 2, 0.0)
         return -0.5 * degrees * np.log(self._scale + squares)
@@ -63,19 +59,10 @@ class MeasurementNoise:
     def weight(
         self, point: Floats, paths: Floats, weights: Floats, origin_variance: float, variance: float
     ) -> float:
-        """Return the weight of a measurement, which is smaller for an unexpected one.
+        """Return the weight of a measured (2,) x and y in I, in m; an unexpected one has less.
 
-        Parameters
-        ----------
-        point
-            (2,) measured x and y in I, in m.
-        paths, weights
-            (n, 2) x and y at the same depth of the paths before the measurement, in m, and (n,)
-            their weights.
-        origin_variance
-            Additional variance of x and of y of each path's origin, in m^2.
-        variance
-            Variance of x and of y of a measurement, in m^2.
+        ``paths`` are the (n, 2) x and y there before the measurement, ``weights`` theirs; the
+        variances are those of x and of y, of each path's origin and of a measurement, in m^2.
         """
         mean, covariance = path_statistics(paths[:, np.newaxis], weights)
         innovation = point - mean[0]

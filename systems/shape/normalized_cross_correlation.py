@@ -20,15 +20,9 @@ Rounding errors can be as large as this.
 class Match(Immutable):
     """Place at which a kernel was found. If it was not, a `NotFound` takes the match's place.
 
-    Parameters
-    ----------
-    position
-        (n,) fractional index in the search region of the kernel's first element.
-    correlation
-        Largest correlation coefficient on the grid, from 0 to 1.
-    at_border
-        (n,) flags of the axes along which the best match is the first or the last one that fits in
-        the search region. A better one may then lie beyond.
+    ``position`` is the (n,) fractional index of the kernel's first element, ``correlation`` the
+    largest coefficient on the grid, from 0 to 1. ``at_border`` flags the (n,) axes along which the
+    best match is the first or the last one that fits: a better one may lie beyond.
     """
 
     position: NDArray[np.float64]
@@ -44,26 +38,10 @@ def normalized_cross_correlation(search: ArrayLike, kernel: ArrayLike) -> NDArra
 
     The method is that of Lewis 1995. The equation is eq. 8 of Zhao 2012, in which the mean must be
     that of each window. A circular Fourier transform gives the numerator; no window of the result
-    wraps around it. Running sums give the means and energies of the windows. The coefficient is 0
-    for a constant window or a constant kernel.
-
-    Parameters
-    ----------
-    search
-        (M, N, ...) array of any dimension.
-    kernel
-        (m, n, ...) array of the same dimension, no larger along any axis.
-
-    Returns
-    -------
-    (M - m + 1, N - n + 1, ...) array of coefficients from -1 to 1. It is float32 if both inputs
-    are, otherwise float64. In single precision the error reaches 1e-3 if a window varies 1000 times
-    less than the search region.
-
-    Raises
-    ------
-    ValueError
-        If the shapes do not match or a value is not finite.
+    wraps around it. Running sums give the means and energies of the windows. The coefficient, from
+    -1 to 1, is 0 for a constant window or kernel. It is float32 if both inputs are, otherwise
+    float64; in single precision the error reaches 1e-3 if a window varies 1000 times less than the
+    search region. ValueError is raised if the shapes do not match or a value is not finite.
     """
     whole, part = np.asarray(search), np.asarray(kernel)
     dtype = np.float32 if whole.dtype == part.dtype == np.float32 else np.float64
@@ -108,16 +86,6 @@ def best_match(search: ArrayLike, kernel: ArrayLike) -> Match | NotFound:
     The maximum is refined by the paraboloid through its neighbours. Along each axis, the curvature
     puts the paraboloid's maximum at that of the cosine through the three values (Cespedes et al.
     1995). This is exact for a carrier, and equals the parabola for a wide peak.
-
-    Parameters
-    ----------
-    search, kernel
-        Arrays as in `normalized_cross_correlation`.
-
-    Returns
-    -------
-    The match, or a `NotFound` if the kernel does not fit into the region, a value is not finite or
-    nothing correlates.
     """
     whole, part = np.asarray(search), np.asarray(kernel)
     if whole.ndim != part.ndim or np.any(np.array(part.shape) > whole.shape):

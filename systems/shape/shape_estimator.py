@@ -17,21 +17,7 @@ from sonoservo.systems.signals.ports import declare_inputs, declare_output, eval
 
 @dataclass(frozen=True, eq=False)
 class _Memory(Immutable):
-    """Belief of the filter, and data on the newest measurement in it.
-
-    Parameters
-    ----------
-    belief
-        Belief of the filter.
-    number
-        Number of cross-sections used so far. It selects the random numbers.
-    time, observed
-        Time in s and depth in m of the last cross-section used.
-    X_WI
-        Pose of the insertion's frame in W; None before it is known.
-    reason
-        Reason why the newest slice was not used; empty if it was.
-    """
+    """Belief of the filter; number, time and depth of its newest measurement; frame I."""
 
     belief: Any
     number: int = 0

@@ -54,14 +54,8 @@ class ShapeLeastSquaresParameters(ShapeEstimatorParameters):
 class FittedShape(Immutable):
     """Most probable parameters of the shape.
 
-    Parameters
-    ----------
-    parameters
-        (5,) x and y of the origin in m, phi and theta_0 in rad, R in m.
-    covariance
-        (5, 5) covariance of the parameters.
-    points, weights
-        (m, 3) measured x, y and depth in I, in m, and (m,) their weights.
+    ``parameters`` are x and y of the origin in m, phi and theta_0 in rad, and R in m, with their
+    (5, 5) ``covariance``; ``points`` are (m, 3) x, y and depth in I, in m, with (m,) ``weights``.
     """
 
     parameters: Floats
@@ -71,13 +65,7 @@ class FittedShape(Immutable):
 
 
 class ShapeLeastSquares:
-    """Bayesian least-squares fit, a `ShapeFilter`.
-
-    Parameters
-    ----------
-    parameters
-        Number of samples, prior and noise.
-    """
+    """Bayesian least-squares fit, a `ShapeFilter`."""
 
     def __init__(self, parameters: ShapeLeastSquaresParameters) -> None:
         self.parameters = parameters
@@ -95,17 +83,7 @@ class ShapeLeastSquares:
         return FittedShape(self._prior_mean, np.diag(std**2))
 
     def update(self, belief: FittedShape, point: Floats, rng: np.random.Generator) -> FittedShape:
-        """Fit again with one more measurement.
-
-        Parameters
-        ----------
-        belief
-            Fit before the measurement.
-        point
-            (3,) measured x, y and depth in I, in m.
-        rng
-            Generator that draws the paths for the prediction of the measurement.
-        """
+        """Fit again with one more measurement, (3,) x, y and depth in I, in m."""
         noise = self.parameters.noise
         weight = noise.independence
         if len(belief.points):
@@ -122,10 +100,9 @@ class ShapeLeastSquares:
         return FittedShape(parameters, covariance, points, weights)
 
     def _starts(self, fitted: FittedShape, points: Floats) -> list[Floats]:
-        """Return the starting points: the last fit and the straight line, each bent to either side.
+        """Return the last fit and the straight line, each bent to either side, as starting points.
 
-        Both sides are needed, as paths that start in one direction and bend to opposite sides are
-        two separate minima.
+        Paths that start in one direction and bend to opposite sides are two separate minima.
         """
         starts = [fitted.parameters]
         if len(points) == 1:

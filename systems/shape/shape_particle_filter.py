@@ -30,24 +30,10 @@ Floats = NDArray[np.float64]
 class ParticleBelief(Immutable):
     """Particles, and the measurements by which they were weighted.
 
-    Parameters
-    ----------
-    particles
-        (n, 5) particles: R in m, theta_0 and phi in rad, ln alpha, ln beta.
-    log_weights
-        (n,) logarithms of the particles' weights, up to a constant.
-    sums
-        (n, k + 4) sums over the measurements; see `ShapePosterior.sums`.
-    moments
-        Moments of the measurements.
-    fits
-        Fit of each particle's wander; None before the first measurement.
-    variance
-        Learned variance of x and of y of a measurement, in m^2.
-    points
-        (m, 3) measured x, y and depth in I, in m.
-    weights
-        (m,) weights of the measurements.
+    ``particles`` are (n, 5): R in m, theta_0 and phi in rad, ln alpha, ln beta, with (n,)
+    ``log_weights`` up to a constant. ``sums``, ``moments`` and ``fits`` are those of
+    `ShapePosterior`; ``variance`` is the learned one of x and of y of a measurement, in m^2.
+    ``points`` are (m, 3) in I, in m.
     """
 
     particles: Floats
@@ -67,13 +53,7 @@ class ParticleBelief(Immutable):
 
 
 class ShapeParticleFilter:
-    """Particle filter for static parameters, a `ShapeFilter`.
-
-    Parameters
-    ----------
-    parameters
-        Number of particles, prior and noise.
-    """
+    """Particle filter for static parameters, a `ShapeFilter`."""
 
     def __init__(self, parameters: ShapeParticleFilterParameters) -> None:
         self.parameters = parameters
@@ -95,17 +75,7 @@ class ShapeParticleFilter:
     def update(
         self, belief: ParticleBelief, point: Floats, rng: np.random.Generator
     ) -> ParticleBelief:
-        """Weight the particles by one more measurement; resample and move them if necessary.
-
-        Parameters
-        ----------
-        belief
-            Belief before the measurement.
-        point
-            (3,) measured x, y and depth in I, in m.
-        rng
-            Generator for the resampling and the moves.
-        """
+        """Weight the particles by (3,) x, y and depth in I, in m; resample and move them."""
         posterior, before = self._posterior, np.zeros(len(belief.particles))
         if belief.fits is not None:
             before = posterior.log_likelihood(belief.fits, belief.moments)
@@ -149,11 +119,7 @@ class ShapeParticleFilter:
         )
 
     def learned_wander(self, belief: ParticleBelief) -> WanderParameters:
-        """Return the wander's prior for the next needle in the same tissue.
-
-        It is the log-normal distribution with the moments of the present posterior. A needle that
-        was seen along its whole path says much about the tissue, and one seen halfway very little.
-        """
+        """Return the wander's prior for the next needle in the tissue: the posterior's moments."""
         share, amplitudes = belief.normalized_weights, belief.particles[:, 3:]
         mean = share @ amplitudes
         spread = np.sqrt(share @ (amplitudes - mean) ** 2)

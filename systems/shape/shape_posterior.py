@@ -80,13 +80,8 @@ def combined_wander(
 ) -> WanderParameters:
     """Return the wander's distribution after several needles in the same tissue.
 
-    Parameters
-    ----------
-    prior
-        Distribution before the first needle.
-    learnt
-        Distribution after each needle alone; see `ShapeParticleFilter.learned_wander`. Their
-        logarithms count as normal, and the prior counts only once.
+    ``learnt`` are those after each needle alone (`ShapeParticleFilter.learned_wander`). Their
+    logarithms count as normal, and the prior counts only once.
     """
 
     def combined(median: str, spread: str) -> dict[str, float]:
@@ -143,13 +138,9 @@ class ShapeParticleFilterParameters(ShapeEstimatorParameters):
 class Moments(Immutable):
     """Weighted moments of the measurements and of the modes at their depths.
 
-    Parameters
-    ----------
-    points, square
-        (k + 1, 2) sums of the measured x and y, in m, times a constant and each mode, and the sum
-        of their squares, in m^2.
-    modes
-        (k + 1, k + 1) sums of products of the constant and the modes.
+    ``points`` are (k + 1, 2) sums of x and y, in m, times a constant and each mode, ``square`` that
+    of their squares, in m^2, ``modes`` (k + 1, k + 1) sums of products of the constant and the
+    modes.
     """
 
     points: Floats
@@ -165,18 +156,11 @@ class Moments(Immutable):
 class WanderFits(NamedTuple):
     """Fit of the wander for each of n particles; a first axis is in the plane and across it.
 
-    Parameters
-    ----------
-    squares
-        (n,) weighted sum of squared residuals about the best origin and wander, with the squares
-        that the wander's prior adds, in m^2.
-    log_determinant
-        (n,) logarithm of the factor by which the wander widens the distribution of the data.
-    rotation
-        (k, k) rotation of the modes that makes them uncorrelated.
-    mean, shrinkage
-        (2, n, k) means of the rotated coefficients in 1/m, and their variances relative to that of
-        a measurement, in 1/m^4.
+    ``squares`` are (n,) weighted sums of squared residuals about the best origin and wander, with
+    the squares that the wander's prior adds, in m^2. ``log_determinant`` is by how much the wander
+    widens the data's distribution. ``rotation`` makes the k modes uncorrelated; ``mean`` holds the
+    (2, n, k) rotated coefficients in 1/m, ``shrinkage`` their variances over that of a measurement,
+    in 1/m^4.
     """
 
     squares: Floats
@@ -187,13 +171,7 @@ class WanderFits(NamedTuple):
 
 
 class ShapePosterior:
-    """Prior and likelihood of (n, 5) particles R, theta_0, phi, ln alpha, ln beta.
-
-    Parameters
-    ----------
-    parameters
-        Parameters of the particle filter.
-    """
+    """Prior and likelihood of (n, 5) particles R, theta_0, phi, ln alpha, ln beta."""
 
     def __init__(self, parameters: ShapeParticleFilterParameters) -> None:
         self._parameters = p = parameters
@@ -240,10 +218,7 @@ class ShapePosterior:
         return Moments(weighted.T @ points[:, :2], square, weighted.T @ design)
 
     def sums(self, particles: Floats, points: Floats, weights: Floats) -> Floats:
-        """Return (n, k + 4) weighted sums of u^2, u x, u y, u, and u times each mode.
-
-        Here u are the deflections of the particles' paths at the measured depths.
-        """
+        """Return (n, k + 4) weighted sums of u^2, u x, u y, u, u times each mode; u: deflection."""
         shape = np.column_stack([1 / particles[:, 0], np.sin(particles[:, 1])])
         # The kernel needs ascending depths, but slices may come from deep to shallow.
         order = np.argsort(points[:, 2], kind="stable")
@@ -267,22 +242,10 @@ class ShapePosterior:
         variance: float,
         rng: np.random.Generator,
     ) -> tuple[Floats, Floats]:
-        """Draw the wander of each particle's path, given the measurements.
+        """Draw the wander of each particle's path, given the measurements and their `fit`.
 
-        Parameters
-        ----------
-        particles, sums, moments, variance
-            Particles and measurements as for `fit`.
-        fits
-            Result of `fit`.
-        rng
-            Generator of the draws.
-
-        Returns
-        -------
-        wander, origins
-            (n, k, 2) coefficients of the modes along X and Y of I, in 1/m, and (n, 2) most probable
-            origins, in m. The origin's remaining variance is ``variance`` / ``moments.total``.
+        Returns (n, k, 2) coefficients of the modes along X and Y of I, in 1/m, and (n, 2) most
+        probable origins, in m, whose remaining variance is ``variance`` / ``moments.total``.
         """
         drawn = np.sqrt(variance * fits.shrinkage) * rng.normal(size=fits.mean.shape)
         along, across = (fits.mean + drawn) @ fits.rotation.T
@@ -293,17 +256,7 @@ class ShapePosterior:
         return wander, origins
 
     def fit(self, particles: Floats, sums: Floats, moments: Moments, variance: float) -> WanderFits:
-        """Fit origin and wander to the measurements, for each particle.
-
-        Parameters
-        ----------
-        particles, sums
-            (n, 5) particles, and their `sums` over all measurements.
-        moments
-            Moments of all measurements.
-        variance
-            Variance of x and of y of a measurement, in m^2.
-        """
+        """Fit origin and wander of each particle to all measurements, of a ``variance`` in m^2."""
         # The origin has a flat prior; its integral centres everything.
         middle = moments.modes[1:, 0] / moments.total
         strength, rotation = np.linalg.eigh(

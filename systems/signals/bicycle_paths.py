@@ -17,20 +17,10 @@ def require_rising(rotations: Sequence[float]) -> None:
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def deflections(parameters, depths, rotations):  # type: ignore[no-untyped-def]
-    """Return the deflections of many paths at once, in closed form.
+    """Return the (n, m) deflections u in m of n paths at m ascending depths in m; NaN past a turn.
 
-    Parameters
-    ----------
-    parameters
-        (n, 2) curvature 1 / R in 1/m and sin(theta_0) of each path.
-    depths
-        (m,) depths v in m, in ascending order. Below zero the first arc is continued backwards.
-    rotations
-        (r,) depths in m at which the curvature changes sign, in ascending order.
-
-    Returns
-    -------
-    (n, m) deflections u in m; NaN for depths at which a path has turned back.
+    Each path has a row of curvature 1 / R in 1/m and sin(theta_0). At the ascending depths of the
+    rotations the curvature changes sign. Below zero the first arc is continued backwards.
     """
     u = np.empty((len(parameters), len(depths)))
     for i in range(len(parameters)):
@@ -55,8 +45,8 @@ def deflections(parameters, depths, rotations):  # type: ignore[no-untyped-def]
 def _go(u, sine, cosine, curvature, v):  # type: ignore[no-untyped-def]
     """Return deflection, sine and cosine of theta on an arc after a further depth v.
 
-    sin(theta) grows by v / R, and cos(theta) - cos(theta') = (sin^2 - sin'^2) / -(cos + cos').
-    In this form an arc of small curvature loses no digits.
+    sin(theta) grows by v / R, and cos(theta) - cos(theta') = (sin^2 - sin'^2) / -(cos + cos'), in
+    which an arc of small curvature loses no digits.
     """
     further = sine + curvature * v
     squared = 1 - further * further

@@ -50,10 +50,7 @@ class BodySurface:
 
     @property
     def bounds(self) -> Floats:
-        """(2, 3) or, if curved, (3, 3) rows: lowest and highest corner in T in m, and round axes.
-
-        The last row is 1 for every axis along which the body is round, and 0 for the others.
-        """
+        """Lowest and highest corner in T in m; if curved, also flags of its round axes."""
         width, length, height = self.size
         rows = [[-width / 2, -length / 2, -height], [width / 2, length / 2, 0]]
         if self.is_curved:
@@ -71,13 +68,7 @@ class BodySurface:
         return np.asarray(inside & (np.linalg.norm(u, axis=-1) <= 1 + slack / min(self.size)))
 
     def height(self, x: float, y: float) -> float:
-        """Return the height z of the top in T over a point, in m.
-
-        Raises
-        ------
-        ValueError
-            If the top is nearly upright there, or the body does not reach that far.
-        """
+        """Return the height z of the top in T over a point, in m, unless it is upright."""
         if not self.is_curved:
             return 0.0
         u = self._scaled(np.array([x, y, -self.size[2] / 2]))
@@ -97,20 +88,7 @@ class BodySurface:
         return np.asarray(gradient / np.linalg.norm(gradient))
 
     def entry(self, aim: ArrayLike, direction: ArrayLike) -> Floats:
-        """Return the (3,) point in T at which a line to a point inside enters the body.
-
-        Parameters
-        ----------
-        aim
-            (3,) point inside the body, in T, in m.
-        direction
-            (3,) unit vector in T along which the line runs to the point.
-
-        Raises
-        ------
-        ValueError
-            If the point lies outside the body.
-        """
+        """Return the (3,) point in T, in m, at which a line to an inner point enters."""
         p, d = np.asarray(aim, dtype=float), np.asarray(direction, dtype=float)
         inside = bool(self.contains(p))
         require(inside, "aim", p.tolist(), f"in the phantom, a {self.shape} of {list(self.size)} m")

@@ -49,10 +49,7 @@ class WanderModes(Immutable):
         return self.deflections.shape[1]
 
     def at(self, depths: ArrayLike) -> Floats:
-        """Return the (m, k) deflections at (m,) depths in m; outside the grid, those at its ends.
-
-        The deflections are in m per 1/m of curvature.
-        """
+        """Return the (m, k) deflections, in m per 1/m of curvature, at (m,) depths in m."""
         last = len(self.depths) - 1
         place = np.clip(np.asarray(depths, dtype=float) / self.depths[1], 0, last)
         below = np.minimum(place.astype(int), last - 1)

@@ -70,19 +70,7 @@ class ImageSlice(Immutable):
         return (np.asarray(p_P) - self.origin) / self.spacing
 
     def sample(self, p_P: ArrayLike, outside: float | None = 0.0) -> NDArray[np.float32]:
-        """Return intensities at x and y in P, by bilinear interpolation.
-
-        Parameters
-        ----------
-        p_P
-            (..., 2) x and y in m.
-        outside
-            Intensity outside the grid; None takes that of the nearest point on its edge.
-
-        Returns
-        -------
-        (...) intensities.
-        """
+        """Return (...) intensities at (..., 2) x and y in P in m, by bilinear interpolation."""
         return sample_grid(self.intensities, p_P, self.origin, self.spacing, outside)
 
     def beam_direction(self, p_P: ArrayLike) -> NDArray[np.float64]:

@@ -1,11 +1,12 @@
 """Base class and helpers for values that travel between systems without being copied."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from math import isfinite
 from typing import Any, Literal, Self, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
+from pydrake.math import RigidTransform
 
 Array = TypeVar("Array", bound=NDArray[Any])
 
@@ -19,11 +20,33 @@ class Immutable:
 
     __slots__ = ()
 
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        # A dataclass makes a representation of its own unless there is one.
+        if "__repr__" not in vars(cls):
+            cls.__repr__ = _short_repr  # type: ignore[method-assign]
+
     def __copy__(self) -> Self:
         return self
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
         return self
+
+
+def _short_repr(value: object) -> str:
+    """Return a value in one line, with large arrays by their shape and poses by their place."""
+    parts = (f"{each.name}={_short(getattr(value, each.name))}" for each in fields(value))  # type: ignore[arg-type]
+    return f"{type(value).__name__}({', '.join(parts)})"
+
+
+def _short(value: object) -> str:
+    if isinstance(value, np.ndarray) and value.size > 6:
+        return f"<{' x '.join(map(str, value.shape))} {value.dtype}>"
+    if isinstance(value, np.ndarray):
+        return np.array2string(value, precision=5, separator=", ").replace("\n", "")
+    if isinstance(value, RigidTransform):
+        return f"<pose at {np.round(value.translation(), 4).tolist()}>"
+    return f"{value:.6g}" if isinstance(value, float) else repr(value)
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,10 +76,7 @@ def seal(array: Array) -> Array:
 
 
 def own(array: NDArray[Any]) -> NDArray[Any]:
-    """Return a read-only view of a sealed array, or of a copy of any other array.
-
-    Only the read-only flags are checked. A view taken before the array was sealed goes unnoticed.
-    """
+    """Return a read-only view of a sealed array, or of a copy of any other array."""
     owner: Any = array
     while isinstance(owner, np.ndarray) and not owner.flags.writeable:
         owner = owner.base

@@ -101,10 +101,7 @@ class NeedleEstimate(Immutable):
 
     @property
     def direction_covariance(self) -> NDArray[np.float64]:
-        """(3, 3) covariance of the unit vector from entry to tip in W; requires a curve.
-
-        It is that of small errors, which lie across the needle, and has rank 2.
-        """
+        """(3, 3) covariance of the unit vector from entry to tip in W, of rank 2."""
         assert self.curve is not None
         assert self.covariance is not None
         n = 3 * self.curve.order

@@ -83,18 +83,7 @@ class NeedleShape(Immutable):
         return wandering
 
     def predict(self, depths: ArrayLike) -> tuple[Floats, Floats]:
-        """Return mean and covariance of the needle's position across the insertion.
-
-        Parameters
-        ----------
-        depths
-            (m,) depths in m, in ascending order.
-
-        Returns
-        -------
-        mean, covariance
-            (m, 2) mean in m and (m, 2, 2) covariance in m^2 of x and y in I.
-        """
+        """Return (m, 2) mean in m and (m, 2, 2) covariance in m^2 in I at rising depths."""
         mean, covariance = path_statistics(self.paths(depths), self.weights)
         return mean, covariance + self.origin_variance * np.eye(2)
 
@@ -117,10 +106,7 @@ class NeedleShape(Immutable):
 
 
 def bicycle_paths(parameters: Floats, depths: ArrayLike, rotations: Sequence[float]) -> Floats:
-    """Return (n, m, 2) x and y from the origin, in m, of paths with (n, 3) R, theta_0 and phi.
-
-    They are NaN beyond the depth at which a path turns back.
-    """
+    """Return (n, m, 2) x and y in m of paths with (n, 3) R, theta_0 and phi; NaN past a turn."""
     radius, angle, plane = np.asarray(parameters, dtype=float).T
     u = deflections(
         np.column_stack([1 / radius, np.sin(angle)]),

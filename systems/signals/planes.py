@@ -39,11 +39,7 @@ class Plane(Immutable):
         return Plane(X @ self.X_PS, self.width, self.height)
 
     def grid(self, rows: int, columns: int) -> Vector:
-        """Return the (rows, columns, 3) positions in P, in m, of the pixels' centres.
-
-        Columns run along +X of S and rows along +Y. The first row of an image, its top, therefore
-        has the smallest Y.
-        """
+        """Return the (rows, columns, 3) pixel centres in P in m; Y of S rises by row."""
         x = self.width * ((np.arange(columns) + 0.5) / columns - 0.5)
         y = self.height * ((np.arange(rows) + 0.5) / rows - 0.5)
         R = self.X_PS.rotation().matrix()

@@ -66,10 +66,7 @@ class ReconstructedVolume(Volume):
         return np.where(inside, self.frames[i, j, k], np.nan)
 
     def to_world(self, p_P: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return positions in W, in m, and times, in s, at which positions in P were acquired.
-
-        The time is the volume's for positions that no frame has passed.
-        """
+        """Return positions in W, in m, and times, in s, at which positions in P were acquired."""
         p_P = np.reshape(np.asarray(p_P, dtype=float), (-1, 3))
         frame = self.frame_at(p_P)
         known = np.nan_to_num(frame)

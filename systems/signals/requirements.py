@@ -7,9 +7,8 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from functools import cache
+from numbers import Real
 from typing import Annotated, Any, TypeAlias, get_args, get_origin, get_type_hints
-
-import numpy as np
 
 MAX_TIME = 1e6
 """Longest time that a scenario may ask for, in s: eleven days."""
@@ -49,7 +48,7 @@ def require_time(*, positive: bool = False, **values: float) -> None:
 
 
 def _is_finite(value: object) -> bool:
-    return isinstance(value, (int, float, np.number)) and math.isfinite(value)
+    return isinstance(value, Real) and math.isfinite(value)
 
 
 @dataclass(frozen=True)

@@ -8,15 +8,7 @@ from pydrake.systems.framework import CacheEntry, Context, LeafSystem, ValueProd
 
 
 def declare_scratch_context(system: LeafSystem, plant: MultibodyPlant) -> CacheEntry:
-    """Declare a scratch context of a plant for each context of a system; see `scratch_context`.
-
-    Parameters
-    ----------
-    system
-        System that is being constructed.
-    plant
-        Finalized plant.
-    """
+    """Declare a scratch context of a finalized plant for each context of a system."""
     return system.DeclareCacheEntry(
         "plant_context",
         ValueProducer(

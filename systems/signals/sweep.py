@@ -120,17 +120,7 @@ class SweepGeometry(Immutable):
     def frame_times(
         self, time: float, direction: int = 1, *, since: int = 0
     ) -> NDArray[np.float64]:
-        """Return the (frames,) times at which the frames are acquired, in s.
-
-        Parameters
-        ----------
-        time
-            Time at which the sweep begins, or at which it has acquired ``since`` frames, in s.
-        direction
-            +1 for a sweep towards +Z, -1 towards -Z.
-        since
-            Number of frames acquired at that time.
-        """
+        """Return the (frames,) times in s of a sweep with ``since`` frames at a time."""
         order = np.arange(self.frames, dtype=np.float64)[::direction]
         return np.asarray(time + self.frame_period * (order - since))
 
@@ -148,18 +138,9 @@ class SweepGeometry(Immutable):
     def position(
         self, k: ArrayLike, j: ArrayLike, i: ArrayLike, direction: int
     ) -> NDArray[np.float64]:
-        """Return the position in P of sample i on line j of frame k.
+        """Return (..., 3) positions in P, in m, of (fractional) sample i on line j of frame k.
 
-        Parameters
-        ----------
-        k, j, i
-            Frame, line and sample. Fractions are allowed, and arrays that broadcast together.
-        direction
-            +1 for a sweep towards +Z, -1 towards -Z.
-
-        Returns
-        -------
-        (..., 3) positions in P, in m.
+        The direction is +1 for a sweep towards +Z, -1 towards -Z.
         """
         k, j, i = np.broadcast_arrays(*(np.asarray(x, dtype=float) for x in (k, j, i)))
         r = self.array_radius + self.sample_pitch * i
@@ -171,20 +152,7 @@ class SweepGeometry(Immutable):
         )
 
     def index(self, p_P: ArrayLike, direction: int) -> tuple[NDArray[np.float64], ...]:
-        """Return the fractional frame, line and sample of positions in P, as inverse of `position`.
-
-        Parameters
-        ----------
-        p_P
-            (..., 3) positions in m, in front of the probe.
-        direction
-            +1 for a sweep towards +Z, -1 towards -Z.
-
-        Returns
-        -------
-        k, j, i
-            Arrays of shape (...). For positions outside the sector they exceed the sweep's extents.
-        """
+        """Return fractional frame, line and sample of positions in P; inverse of `position`."""
         x, y, z = np.moveaxis(np.asarray(p_P, dtype=float), -1, 0)
         y = y + self.motor_radius
         q = self._centre_offset + np.hypot(y, z)
@@ -237,18 +205,7 @@ class SweepMotion(Immutable):
     def at_rest(
         cls, geometry: SweepGeometry, X_WP: RigidTransform, times: ArrayLike, direction: int = 1
     ) -> Self:
-        """Return the motion of a sweep by a probe at rest.
-
-        Parameters
-        ----------
-        geometry, direction
-            Geometry and direction of the sweep.
-        X_WP
-            Pose of the probe in the world.
-        times
-            (frames,) times of the frames in s, or one time for all; see
-            `SweepGeometry.frame_times`.
-        """
+        """Return the motion by a probe at rest, with (frames,) times in s or one for all."""
         frames = geometry.frames
         poses = np.broadcast_to(X_WP.GetAsMatrix4(), (frames, 4, 4))
         return cls(geometry, direction, np.broadcast_to(times, frames), poses)
@@ -263,18 +220,9 @@ class SweepMotion(Immutable):
         return replace(self, times=np.full(self.geometry.frames, time))
 
     def to_world(self, p_P: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the positions in W, and times, at which positions in P were actually acquired.
+        """Return (m, 3) positions in W and (m,) times at which (m, 3) positions in P were acquired.
 
-        Parameters
-        ----------
-        p_P
-            (m, 3) positions in the probe frame, in m.
-
-        Returns
-        -------
-        p_W, times
-            (m, 3) positions in m, interpolated between the poses of the two nearest frames, and
-            (m,) times in s.
+        They are interpolated between the poses of the two nearest frames.
         """
         p_P = np.asarray(p_P, dtype=float)
         last = self.geometry.frames - 1
@@ -322,18 +270,6 @@ class Sweep(Immutable):
         return self.motion.geometry
 
     def sample(self, p_P: ArrayLike, outside: float | None = 0.0) -> NDArray[np.float32]:
-        """Return grey levels at positions in P of a probe at rest, by trilinear interpolation.
-
-        Parameters
-        ----------
-        p_P
-            (..., 3) positions in m.
-        outside
-            Grey level outside the sector; None takes that of the nearest sample on its edge.
-
-        Returns
-        -------
-        (...) grey levels.
-        """
+        """Return grey levels at (..., 3) positions in P of a probe at rest, trilinear."""
         index = np.stack(self.geometry.index(p_P, self.motion.direction), axis=-1)
         return sample_grid(self.samples, index, np.zeros(3), np.ones(3), outside)

@@ -87,11 +87,7 @@ class Volume(Immutable):
 
     @cached_property
     def seen(self) -> NDArray[np.bool_]:
-        """(nx, ny, nz) flags of the elements that were seen, however dark they are.
-
-        They are the ``mask``, or what lies in the transducer's sector if the motion is known, or
-        the `seen_hull` of the intensities.
-        """
+        """(nx, ny, nz) flags of what was seen: the ``mask``, the sector, or `seen_hull`."""
         if self.mask is not None:
             return self.mask
         if self.motion is None:
@@ -100,18 +96,11 @@ class Volume(Immutable):
         return _in_sector(self.motion.geometry, *grid)
 
     def sees(self, p_P: ArrayLike) -> NDArray[np.bool_]:
-        """Return the (...) flags of the (..., 3) positions in P between elements that were seen.
-
-        One seen element of the eight around a position suffices.
-        """
+        """Return flags of (..., 3) positions in P beside which an element was seen."""
         return sample_flags(self.seen, p_P, self.origin, self.spacing)
 
     def without_cut(self) -> "Volume":
-        """Return the volume with what was cut off at a grey level raised to that level.
-
-        Against black, any speckle that remains would stand out (`cut_level`). A volume that knows
-        its motion is as the scanner made it.
-        """
+        """Return the volume with what was cut off raised to its level (`cut_level`)."""
         if self.motion is not None or self.intensities.all():
             return self
         cut = cut_level(darkest(self.intensities), self.decibels_per_level)
@@ -136,19 +125,7 @@ class Volume(Immutable):
         return np.asarray((np.asarray(p_P, dtype=float) - self.origin) / self.spacing)
 
     def sample(self, p_P: ArrayLike, outside: float | None = 0.0) -> NDArray[np.float32]:
-        """Return intensities at positions in P, by trilinear interpolation.
-
-        Parameters
-        ----------
-        p_P
-            (..., 3) positions in m.
-        outside
-            Intensity outside the grid; None takes that of the nearest point on its edge.
-
-        Returns
-        -------
-        (...) intensities.
-        """
+        """Return (...) intensities at (..., 3) positions in P, by trilinear interpolation."""
         return sample_grid(self.intensities, p_P, self.origin, self.spacing, outside)
 
     def at_once(self) -> "Volume":
@@ -160,18 +137,7 @@ class Volume(Immutable):
         return replace(self, motion=replace(self.motion, times=times, X_WP=poses))
 
     def to_world(self, p_P: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the positions in W, and times, at which positions in P were acquired.
-
-        Parameters
-        ----------
-        p_P
-            (m, 3) positions in the probe frame, in m.
-
-        Returns
-        -------
-        p_W, times
-            (m, 3) positions in m, and (m,) times in s.
-        """
+        """Return (m, 3) positions in W and (m,) times at which positions in P were acquired."""
         if self.motion is not None:
             return self.motion.to_world(p_P)
         p_P = np.asarray(p_P, dtype=float)

@@ -207,8 +207,8 @@ class TrackLifecycle:
             moved = replace(track, entry=None)
             return self._confirmed(state, measurement, probability, moved, distance)
         missed = replace(track, rejected=measurement, innovation=distance)
-        reason = SearchReason.OFF_PREDICTION(f" {distance:.1f} standard deviations off")
-        return self._miss(missed, time, speed, reason)
+        off = f" {distance:.1f} standard deviations from the prediction"
+        return self._miss(missed, time, speed, SearchReason.OFF_PREDICTION(off))
 
     def _confirmed(
         self,

@@ -1,4 +1,4 @@
-"""Cost of a cluster: overhead against joblib, load of scheduler and client, memory of many runs."""
+"""Cost of a cluster: overhead against pool, load of scheduler and client, memory of many runs."""
 
 import os
 import resource
@@ -28,7 +28,7 @@ RUNS = int(os.environ.get("BENCH_RUNS", "40"))
 TURNS = int(os.environ.get("BENCH_TURNS", "1"))
 MEMORY_PICTURE = Path("out/cluster_memory.png")
 PATH = f"{HELPERS}:{os.environ.get('PYTHONPATH', '')}"
-RUN = ("joblib", "cluster")
+RUN = ("pool", "cluster")
 STUDY = """
 import sys
 from pathlib import Path
@@ -39,7 +39,7 @@ from sonoservo.diagrams.studies import Case, open_cluster, run_cases
 
 name, folder = sys.argv[1:]
 cases = [Case("e", 100 + k, {"duration": 4.0}) for k in range(24)]
-if name == "joblib":
+if name == "pool":
     outcomes = run_cases(run_short, cases, Path(folder), jobs=2)
 else:
     with open_cluster("local:2") as cluster:
@@ -53,10 +53,8 @@ pytestmark = [pytest.mark.slow, pytest.mark.benchmark(min_rounds=1)]
 class SleepingCluster(Cluster):
     """Cluster whose cases sleep."""
 
-    def _submit(self, message, worker, key):
-        return self._client.submit(
-            sleep, message, key=key, workers=[worker], allow_other_workers=False, pure=False
-        )
+    def _submit(self, message):
+        return self._client.submit(sleep, message, pure=False)
 
 
 def used(process):
@@ -122,8 +120,8 @@ def processor_time():
     return sum(usage.ru_utime + usage.ru_stime for usage in usages)
 
 
-def test_overhead_against_joblib(benchmark, tmp_path):
-    """The same real runs, in turn with joblib and on a cluster of two, start and end included."""
+def test_overhead_against_pool(benchmark, tmp_path):
+    """The same real runs, in turn with pool and on a cluster of two, start and end included."""
     figures = {f"{name}_{kind}_s": [] for name in RUN for kind in ("wall", "processor")}
     for turn in range(TURNS):
         for name in RUN:
@@ -135,7 +133,7 @@ def test_overhead_against_joblib(benchmark, tmp_path):
     benchmark.pedantic(lambda: None, rounds=1)
     best = {name: min(values) for name, values in figures.items()}
     for kind in ("wall", "processor"):
-        ratio = best[f"cluster_{kind}_s"] / best[f"joblib_{kind}_s"]
+        ratio = best[f"cluster_{kind}_s"] / best[f"pool_{kind}_s"]
         benchmark.extra_info[f"{kind}_ratio"] = ratio
     benchmark.extra_info.update(figures)
     print(dict(benchmark.extra_info))

@@ -10,8 +10,10 @@ from synthetic_volumes import Scene, entry_on_side
 from sonoservo.systems.display.colours import MODE_COLOURS
 from sonoservo.systems.display.console.console import Console
 from sonoservo.systems.display.console.controls import controller_controls, operator_controls
-from sonoservo.systems.display.console.readings import Sample
-from sonoservo.systems.display.console.slices import slice_pictures
+from sonoservo.systems.display.console.history import Frame
+from sonoservo.systems.display.console.readings import Reading, Sample
+from sonoservo.systems.display.console.shape_feed import PATHS, ShapeFeed
+from sonoservo.systems.display.console.slices import SlicePicture, slice_pictures
 from sonoservo.systems.display.pages.site import Site
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
@@ -141,8 +143,8 @@ SHAPE = """
   .filter(each => each.style.display != 'none').map(each => each.outerHTML.slice(0, 40)).join()
 """
 PARTS = (
-    "#world", ".slice", ".strip", "#controls", "#readings", "#view", "#buttons button",
-    "#sliders label", "#sliders kbd", "header button",
+    "#world", ".slice", ".strip:not([hidden])", "#controls", "#readings", "#view",
+    "#buttons button", "#sliders label", "#sliders kbd", "header button",
 )  # fmt: skip
 
 
@@ -346,6 +348,33 @@ def test_the_end_links_the_report_and_leaves_the_page_usable(open_page, console,
     assert page.get_attribute("#report", "href").startswith("../report/report.html?token=")
     page.locator("#view-gain").fill("5")
     assert page.inner_text("#view-gain + output") == "5 dB"
+
+
+def test_a_shape_prediction_has_a_slice_charts_and_figures_of_its_own(open_page, console):
+    feed = ShapeFeed(console=console, depth=0.1, period=1.0)
+    path = {name: [0.0, 1.0, 4.0] for name in PATHS} | {"depth": [0.0, 50.0, 100.0]}
+    seen = {"found_depth": [0.0, 50.0], "found_x": [0.1, 0.9], "found_y": [0.0, 1.1],
+            "true_depth": [0.0, 50.0], "true_x": [0.0, 1.0], "true_y": [0.0, 1.0]}  # fmt: skip
+    grey, ring = np.full((40, 30), 90, np.uint8), np.array([1.0, 9.0])
+    edges = (-15.0, 15.0, 0.0, 40.0)
+    picture = SlicePicture(
+        "Axial slice", ("X", "depth"), grey, (-15.0, 0.0), (30.0, 40.0), edges, [], ring
+    )
+    page = open_page(console.web_url)
+    console.show_frame(Frame(1, 0.5, "tracking", [picture], 60 / 255, path | seen))
+    console.add(Sample(time=0.5, error=0.2, readings=[Reading("bend", "true bend", 4.0, "mm")]))
+    page.wait_for_selector("#strip-chart_x", state="visible")
+    assert "true bend" in page.inner_text("#readings")
+    assert "4.0" in page.inner_text("#readings")
+    shown = page.evaluate("[...document.querySelectorAll('.strip:not([hidden])')].map(e => e.id)")
+    assert shown == ["strip-chart_x", "strip-chart_y", "strip-error"]
+    assert not page.is_visible("[data-slice='1']")
+    model = "Bokeh.documents[0].get_model_by_name('chart_x')"
+    assert page.evaluate(f"{model}.x_range.end") == 100
+    assert page.evaluate(f"{model}.renderers.map(each => each.data_source.data.depth.length)") == [
+        3, 3, 2, 2
+    ]  # fmt: skip
+    del feed
 
 
 def check_equal(first, second):

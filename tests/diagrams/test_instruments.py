@@ -7,7 +7,7 @@ from pydrake.systems.framework import LeafSystem
 
 from sonoservo.diagrams import load_scenario, make_experiment, run, tracker_events
 from sonoservo.diagrams.assembly import assemble_arm
-from sonoservo.diagrams.seeds import draw_seeds
+from sonoservo.diagrams.scenario import draw_seeds
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.robot.errors.calibration import hand_eye_error, joint_offsets
 from sonoservo.systems.signals.needle_curve import NeedleCurve

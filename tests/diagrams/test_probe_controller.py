@@ -28,7 +28,7 @@ class PerfectTracker(LeafSystem):
         self._velocity = np.array(velocity)
         self.DeclareAbstractOutputPort(
             "estimate",
-            lambda: Value[object](None),
+            lambda: Value[object](),
             self._calc_estimate,
             prerequisites_of_calc={self.time_ticket()},
         )

@@ -20,9 +20,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sonoservo.systems.signals.bicycle_paths import deflections, require_rising
+from sonoservo.systems.signals.bicycle_paths import deflections
 from sonoservo.systems.signals.immutable import Immutable
-from sonoservo.systems.signals.requirements import require, require_positive
+from sonoservo.systems.signals.requirements import require
 
 Floats = NDArray[np.float64]
 
@@ -34,22 +34,9 @@ class BicyclePath(Immutable):
     The insertion's frame I has its Z axis along the insertion and its origin at the start of the
     path. The plane of deflection contains Z. In it, u is the deflection and v the depth along Z.
 
-    Parameters
-    ----------
-    radius
-        Radius R in m.
-    angle
-        Angle theta_0 between the first direction and Z, in rad, towards +u.
-    plane
-        Angle phi from X to the plane's u, in rad.
-    rotations
-        Depths v in m at which the bevel is turned by 180 deg, in ascending order. The curvature is
-        towards +u before the first one.
-
-    Raises
-    ------
-    ValueError
-        If a value is out of range; the message names it.
+    `radius` is in m, `angle` that between the first direction and Z in rad, towards +u, `plane`
+    that from X to u in rad, and `rotations` the ascending depths at which the bevel is turned by
+    180 deg, in m; the curvature is towards +u before the first one.
     """
 
     radius: float
@@ -57,19 +44,8 @@ class BicyclePath(Immutable):
     plane: float = 0.0
     rotations: tuple[float, ...] = ()
 
-    def __post_init__(self) -> None:
-        require_positive(radius=self.radius)
-        require(abs(self.angle) < np.pi / 2, "angle", self.angle, "between -pi/2 and pi/2 rad")
-        require_rising(self.rotations)
-
     def deflection(self, depth: ArrayLike) -> Floats:
-        """Return the deflection u in m at depths v in m, in closed form (eqs. 3 and 4, corrected).
-
-        Raises
-        ------
-        ValueError
-            If the path turns back before it reaches a depth.
-        """
+        """Return the deflection u in m at depths v in m (eqs. 3 and 4, corrected)."""
         depth = np.asarray(depth, dtype=float)
         order = np.argsort(depth, axis=None)
         parameters = np.array([[1 / self.radius, np.sin(self.angle)]])

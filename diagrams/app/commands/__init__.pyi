@@ -1,3 +1,4 @@
+from .benchmark import benchmark_command as benchmark_command
 from .results import compare_command as compare_command
 from .results import explain_command as explain_command
 from .results import replay_command as replay_command

@@ -1,5 +1,6 @@
 """Commands about scenarios themselves: list, show and new."""
 
+import shlex
 from pathlib import Path
 from typing import Annotated
 
@@ -10,6 +11,7 @@ from sonoservo.diagrams.app.options import (
     JsonOption,
     ScenarioArgument,
     console,
+    say,
     write_printed,
 )
 from sonoservo.systems.files.refusals import ConfigurationError
@@ -17,21 +19,17 @@ from sonoservo.systems.files.refusals import ConfigurationError
 
 def list_command(json_path: JsonOption = None) -> None:
     """List the built-in scenarios, and the dials that make a scenario harder."""
-    from rich.table import Table
-
     from sonoservo.diagrams.dials import load_dials
     from sonoservo.diagrams.experiments.registry import describe_scenarios
 
     scenarios, dials = describe_scenarios(), load_dials()
-    table = Table("scenario", "description")
+    say("Scenarios:")
     for name, description in scenarios.items():
-        table.add_row(name, description)
-    console.print(table)
-    table = Table("dial", "description")
-    table.add_column("moderate strength, with --set", overflow="fold")
+        say(f"sonoservo run {name}\n    {description}")
+    say("\nDials that make a scenario harder, here at a moderate strength:")
     for name, dial in dials.items():
-        table.add_row(name, dial.line, "\n".join(dial.changes()))
-    console.print(table)
+        changes = " ".join(f"--set {shlex.quote(each)}" for each in dial.changes())
+        say(f"{changes}\n    {name}: {dial.line}")
     write_printed(
         json_path,
         {

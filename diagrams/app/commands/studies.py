@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 
 @contextmanager
-def _opened(cluster: str | None, case_limit: float) -> Iterator["Executor | None"]:
+def opened(cluster: str | None, case_limit: float) -> Iterator["Executor | None"]:
     """Open the cluster that the user named, if any."""
     from sonoservo.diagrams.studies.cluster.opening import open_cluster
 
@@ -49,7 +49,7 @@ def dataset_command(
     out: Annotated[Path, typer.Option(help="Folder for the sequences and manifest.json.")],
     volumes: Annotated[int, typer.Option(help="Number of volumes in each sequence.")] = 10,
     transducers: Annotated[
-        list[str] | None, typer.Option("--transducer", help="Probe to draw from; repeatable.")
+        list[str] | None, typer.Option("--probe", help="Probe to draw from; repeatable.")
     ] = None,
     changes: ChangesOption = None,
     seed: Annotated[int | None, typer.Option(min=0, help="Seed of the first sequence.")] = None,
@@ -77,7 +77,7 @@ def dataset_command(
     from sonoservo.diagrams.studies.datasets.dataset import make_dataset
 
     loaded = load_scenario(scenario, changes=changes, seed=seed)
-    with _opened(cluster, case_limit) as executor:
+    with opened(cluster, case_limit) as executor:
         manifest = make_dataset(
             loaded,
             out,
@@ -159,7 +159,7 @@ def reproduce_command(
         raise ConfigurationError(str(error)) from error
     studies = []
     try:
-        with _opened(cluster, case_limit) as executor:
+        with opened(cluster, case_limit) as executor:
             for each in papers:
                 into = folder / each if paper == ALL else folder
                 with Heartbeat(console, f"Reproducing {each}"):

@@ -34,15 +34,7 @@ _FILES = ("scenario.yaml", "summary.json", "log.npz")
 
 @dataclass(frozen=True, eq=False)
 class KeptResults:
-    """Results of a run, as its folder keeps them.
-
-    Parameters
-    ----------
-    name
-        Name of the run in the comparison.
-    scenario, summary, log
-        Contents of the folder.
-    """
+    """Name of a run in the comparison, and summary, scenario and log from its folder."""
 
     name: str
     scenario: Scenario
@@ -52,13 +44,7 @@ class KeptResults:
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """Comparison of runs of one experiment.
-
-    Parameters
-    ----------
-    runs
-        Runs to compare, at least two.
-    """
+    """Comparison of at least two runs of one experiment."""
 
     runs: Sequence[KeptResults]
 
@@ -180,20 +166,7 @@ def compare(folders: Sequence[str | Path], out: str | Path | None = None) -> Com
 
 
 def read_kept_results(folder: Path, name: str = "") -> KeptResults:
-    """Read the results of a run from its folder.
-
-    Parameters
-    ----------
-    folder
-        Folder of the run.
-    name
-        Name of the run; by default, that of the folder.
-
-    Raises
-    ------
-    ConfigurationError
-        If it is not the folder of a run, or a file of it cannot be read.
-    """
+    """Read the results of a run from its folder, whose name is the run's by default."""
     if not folder.is_dir():
         raise ConfigurationError(f"{folder}: there is no such folder")
     if missing := [each for each in _FILES if not (folder / each).is_file()]:

@@ -74,13 +74,7 @@ class ExplainedRun:
         }
 
     def nearest(self, time: float) -> ExplainedVolume:
-        """Return the kept volume nearest to a time in s.
-
-        Raises
-        ------
-        ConfigurationError
-            If the time lies before the first or after the last kept volume.
-        """
+        """Return the kept volume nearest to a time in s, which must not lie outside all of them."""
         times = np.array([float(each.volume_time) for each in self.kept])
         if not times[0] - _TOLERANCE <= time <= times[-1] + _TOLERANCE:
             raise ConfigurationError(

@@ -132,15 +132,7 @@ class KeptRun:
             self._save()
 
     def summary(self, simulated: float, figures: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the content of summary.json.
-
-        Parameters
-        ----------
-        simulated
-            Simulated time in s.
-        figures
-            Figures of the run.
-        """
+        """Return the content of summary.json from the simulated time in s and the run's figures."""
         return {
             "scenario": self.scenario.name,
             "seed": self.scenario.seed,
@@ -166,17 +158,7 @@ class KeptRun:
         log: Log,
         plots: Mapping[str, tuple[str, Figure]],
     ) -> None:
-        """Write pictures, plots, report.html, movie and, with a Meshcat, replay.html.
-
-        Parameters
-        ----------
-        summary
-            Summary as `summary` returned it.
-        experiment, log
-            Experiment that has ended, and its log.
-        plots
-            Caption and figure of each plot, by the name of its file.
-        """
+        """Write pictures, plots, report.html, movie and, with a Meshcat, replay.html."""
         presenter = present(experiment)
         if self._movie is not None:
             with self.unwritten.collect():
@@ -217,17 +199,7 @@ class KeptRun:
         experiment: Experiment[Any],
         links: Mapping[str, str] | None = None,
     ) -> Story:
-        """Return what the report tells besides figures and plots.
-
-        Parameters
-        ----------
-        summary
-            Summary as `summary` returned it.
-        experiment
-            Experiment that has ended.
-        links
-            Text of each link, by its relative address.
-        """
+        """Return what the report tells besides figures and plots; links are texts by address."""
         base, name = base_of(self.scenario)
         presenter = present(experiment)
         kept = self.out is not None and experiment.repeatable

@@ -75,20 +75,9 @@ class Replay:
         clock: Callable[[], float] = time.perf_counter,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
-        """Play the run on a console, until its stop button is pressed.
+        """Play the run on a console until its stop is pressed or, with ``once``, to its end.
 
-        A slider of the console shows the time, and sets it. Pause, step (by a volume) and speed
-        are those of a run.
-
-        Parameters
-        ----------
-        console
-            Console to show the run on.
-        once
-            Whether to return at the end of the run; otherwise it waits there for a user who turns
-            the time back.
-        clock, sleep
-            Functions that return the time and that wait for a time, in s.
+        A slider shows and sets the time; pause, step (by a volume) and speed are those of a run.
         """
         controls = console.controls
         slider = Control(

@@ -5,12 +5,15 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from sonoservo.diagrams.app.live.track_live import LiveLimits, live_volumes
-from sonoservo.diagrams.app.volumes.reconstruct import ReconstructedRecording
+from sonoservo.diagrams.app.live.serve import opened
+from sonoservo.diagrams.app.live.track_live import live_volumes
+from sonoservo.diagrams.app.options import LiveLimits, ReadingFrames
+from sonoservo.diagrams.app.volumes.check import brief_finding, brief_stream_finding
+from sonoservo.diagrams.app.volumes.opening import Opened, live_maker, open_volumes
 from sonoservo.systems.live.connection.link import Link
+from sonoservo.systems.live.connection.protocols import parse_address
 from sonoservo.systems.live.live_source import LiveSource
 from sonoservo.systems.live.volume_sender import IMAGE, volume_items
-from sonoservo.systems.recording.recording import Recording
 from sonoservo.systems.recording.recording_writer import RecordingWriter
 from sonoservo.systems.recording.zea import SUFFIXES, ZeaWriter
 from sonoservo.systems.signals.requirements import require_not_negative
@@ -29,31 +32,9 @@ def record_live(
     after_volume: Callable[[int], None] | None = None,
     say: Callable[[str], None] = print,
 ) -> dict[str, Any]:
-    """Record the volumes of a live connection, until a limit or an interruption.
+    """Record a live connection to a file until a limit or an interruption.
 
-    Parameters
-    ----------
-    source
-        Source of the volumes; it should keep `QUEUE` of them.
-    path
-        Path of the recording, ``NAME.seq.nrrd``, which is valid even after an interruption, or
-        ``NAME.hdf5`` for a file of zea.
-    limits
-        Conditions under which the recording ends by itself.
-    after_volume
-        Function called after every volume with its number.
-    say
-        Function called with each line of text for the user.
-
-    Returns
-    -------
-    Summary of the recording: its path, the numbers of volumes recorded, dropped and left out (with
-    the reasons), and whether it was interrupted.
-
-    Raises
-    ------
-    ValueError
-        If the path has another suffix.
+    The file is valid even then. The source should keep `QUEUE` volumes. Returns the summary.
     """
     writer: RecordingWriter | ZeaWriter | None = None
     count, interrupted = 0, False
@@ -86,7 +67,7 @@ def record_live(
 
 
 def play_live(
-    recording: Recording | ReconstructedRecording,
+    recording: Opened,
     link: Link,
     *,
     speed: float = 1.0,
@@ -95,24 +76,8 @@ def play_live(
 ) -> dict[str, Any]:
     """Send recorded volumes as a scanner would, to the end or until an interruption.
 
-    Parameters
-    ----------
-    recording
-        Recording to play.
-    link
-        Connection to send to.
-    speed
-        Speed relative to the recording's own. At 0, volumes are sent as fast as the slowest peer
-        takes them, and none is dropped on the way.
-    name
-        Device name of the images.
-    after_volume
-        Function called after every volume with its number.
-
-    Returns
-    -------
-    Summary: the recording, the numbers of volumes sent and dropped, the number of peers, and
-    whether playing was interrupted.
+    The speed is relative to the recording's own; at 0, each waits for the slowest peer, and none is
+    dropped. Returns the summary.
     """
     require_not_negative(speed=speed)
     started = time.perf_counter()
@@ -137,3 +102,53 @@ def play_live(
         "peers": link.peers,
         "interrupted": interrupted,
     }
+
+
+def play_file(
+    path: Path,
+    address: str,
+    reading: ReadingFrames,
+    *,
+    speed: float,
+    wait_for: int,
+    say: Callable[[str], None],
+) -> dict[str, Any]:
+    """Play a file to an address, once so many peers are connected; see `play_live`."""
+    recording = open_volumes(path, reading)
+    for line in filter(None, [*recording.notes, brief_finding(recording)]):
+        say(line)
+    with opened(address, say, wait_for=wait_for) as link:
+        summary = play_live(recording, link, speed=speed)
+    say(f"{summary['volumes']} volumes sent")
+    return summary
+
+
+def record_address(
+    address: str,
+    path: Path,
+    reading: ReadingFrames,
+    *,
+    limits: LiveLimits,
+    say: Callable[[str], None],
+) -> dict[str, Any]:
+    """Record what comes from an address to a file; see `record_live`."""
+    reading.refuse_for_streams()
+    place = parse_address(address)
+    source = LiveSource(
+        place,
+        maker=live_maker(reading),
+        poses=reading.poses,
+        keep=QUEUE,
+        clock_offset=reading.clock_offset,
+        report=say,
+    )
+    with source as live:
+        if place.listens:
+            say(f"Waiting for a scanner on port {live.link.port}; Ctrl-C ends")
+        summary = record_live(live, path, limits=limits, say=say)
+        if line := brief_stream_finding(live):
+            say(line)
+    reasons = summary["left_out_reasons"].items()
+    left_out = "".join(f", {count} left out ({why})" for why, count in reasons)
+    say(f"{summary['volumes']} volumes recorded, {summary['dropped']} dropped{left_out}: {path}")
+    return summary

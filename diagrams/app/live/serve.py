@@ -1,14 +1,19 @@
 """Simulated scanner to which other programs connect as they would to a real one."""
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
+from typing import Any
 
 from pydrake.systems.framework import System
 
+from sonoservo.diagrams.app.options import Serving
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
 from sonoservo.diagrams.experiments.following_scene import observer_events, recording_settings
 from sonoservo.diagrams.scenario import Scenario, require_scenario
+from sonoservo.systems.files.refusals import ConfigurationError
+from sonoservo.systems.files.typed_yaml import suggest
 from sonoservo.systems.live.connection.link import Link
 from sonoservo.systems.live.connection.protocols import parse_address
 from sonoservo.systems.live.image_matcher import DEFAULT_POSES
@@ -21,6 +26,8 @@ from sonoservo.systems.live.volume_sender import VolumeSender
 from sonoservo.systems.ultrasound.imaging import sweep_geometry
 from sonoservo.systems.ultrasound.transducer import load_transducer
 
+_NAMED = ("tip", "curve", "status", "covariance")
+
 _POLL = 0.05
 """Time in s between two checks of the number of peers."""
 
@@ -28,25 +35,7 @@ _POLL = 0.05
 def live_senders(
     link: Link, scenario: Scenario, names: NeedleNames | None = None
 ) -> dict[str, System]:
-    """Return systems that send all data of a scenario, as observers of a `FollowingExperiment`.
-
-    They send the volumes, the frames as acquired, the two slices through the needle, the probe's
-    pose, the estimate and the truth, each at its own rate.
-
-    Parameters
-    ----------
-    link
-        Connection to send to.
-    scenario
-        Scenario of the run.
-    names
-        Device names of the estimate.
-
-    Raises
-    ------
-    ConfigurationError
-        If the scenario is not one of following.
-    """
+    """Return systems that send volumes, frames, slices, pose, estimate and truth of a scenario."""
     scenario = require_scenario(scenario, FollowingScenario)
     period, offset = observer_events(scenario).values()
     frames = sweep_geometry(load_transducer(scenario.probe), scenario.imaging).frame_period
@@ -64,17 +53,7 @@ def live_senders(
 
 @contextmanager
 def opened(address: str, say: Callable[[str], None], *, wait_for: int = 0) -> Iterator[Link]:
-    """Open a connection to send to; on exit, wait at most 1 s for queued messages to be sent.
-
-    Parameters
-    ----------
-    address
-        Address of the connection; see `parse_address`.
-    say
-        Function called with each line of text about the connection.
-    wait_for
-        Number of peers that must be connected before it is used.
-    """
+    """Open a connection and wait for so many peers; on exit, queued messages get 1 s to be sent."""
     with Link(parse_address(address), report=say) as link:
         if link.address.listens:
             host, _ = link.address.bound
@@ -83,3 +62,30 @@ def opened(address: str, say: Callable[[str], None], *, wait_for: int = 0) -> It
             time.sleep(_POLL)
         yield link
         link.flush(1.0)
+
+
+@contextmanager
+def serving(
+    serve: Serving, scenario: Scenario, say: Callable[[str], None]
+) -> Iterator[Mapping[str, System] | None]:
+    """Yield the systems that send a scenario live while it runs; None without an address."""
+    if serve.serve is None:
+        yield None
+        return
+    with opened(serve.serve, say, wait_for=serve.wait_for) as link:
+        yield live_senders(link, scenario)
+
+
+def needle_names(changes: Sequence[str], *, points: bool = False) -> NeedleNames:
+    """Return the device names of estimates, changed by texts such as ``tip=MyNeedle``."""
+    names = NeedleNames(points=points)
+    for change in changes:
+        field, equals, name = change.partition("=")
+        if field not in _NAMED or not equals:
+            raise ConfigurationError(f"name: {change!r}; {suggest(field, _NAMED)}")
+        try:
+            changed: dict[str, Any] = {field: name}
+            names = replace(names, **changed)
+        except ValueError as error:
+            raise ConfigurationError(str(error)) from error
+    return names

@@ -1,28 +1,32 @@
 """Tracking on a live connection: the estimate for each volume is sent as soon as it is known."""
 
 import time
-from collections import Counter, deque
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
 from importlib.metadata import version
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from sonoservo.diagrams.app.interruption import is_interrupted
+from sonoservo.diagrams.app.live.serve import needle_names, opened
+from sonoservo.diagrams.app.options import LiveLimits, ReadingFrames, Sending, Tracker
 from sonoservo.diagrams.app.volumes.calibrate import pose_error_figures
-from sonoservo.diagrams.app.volumes.estimates_table import EstimatesTable, estimate_row
+from sonoservo.diagrams.app.volumes.check import brief_stream_finding
+from sonoservo.diagrams.app.volumes.estimates_table import EstimatesTable, ModeCount, estimate_row
+from sonoservo.diagrams.app.volumes.opening import live_maker
 from sonoservo.diagrams.needle_tracker import MakeNeedleTracker
-from sonoservo.diagrams.tracker_bench import corrected_frame, track_volume
+from sonoservo.diagrams.tracker_bench import Sample, Sink, Tracked, TrackerBench
 from sonoservo.diagrams.trackers.tracker_parts import TrackerParameters
 from sonoservo.systems.files.writing import write_json
 from sonoservo.systems.live.connection.link import Link
+from sonoservo.systems.live.connection.protocols import parse_address
 from sonoservo.systems.live.live_source import LiveSource
 from sonoservo.systems.live.needle_sender import NeedleNames, needle_items
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
-from sonoservo.systems.signals.requirements import require
-from sonoservo.systems.signals.search_reason import ReasonCount
 from sonoservo.systems.signals.volume import Volume
 
 if TYPE_CHECKING:
@@ -33,27 +37,6 @@ _LOOK = 0.25
 
 _TIMED = 20_000
 """Maximum number of volumes whose delays enter the summary."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class LiveLimits:
-    """Conditions under which live tracking or recording ends by itself.
-
-    Parameters
-    ----------
-    volumes
-        Maximum number of volumes; None for no limit.
-    patience
-        Maximum time without a new volume, in s; None for no limit.
-    """
-
-    volumes: int | None = None
-    patience: float | None = None
-
-    def __post_init__(self) -> None:
-        for name in ("volumes", "patience"):
-            value = getattr(self, name)
-            require(value is None or value > 0, name, value, "above 0")
 
 
 def live_volumes(source: LiveSource, limits: LiveLimits, say: Callable[[str], None] = print) -> Any:
@@ -74,6 +57,16 @@ def live_volumes(source: LiveSource, limits: LiveLimits, say: Callable[[str], No
             say(f"{volume.reason} for 5 s; waiting")
 
 
+def live_samples(
+    source: LiveSource, limits: LiveLimits, say: Callable[[str], None], console: "Console | None"
+) -> Iterator[Sample]:
+    """Yield the volumes of a connection for a bench, until a limit or the console's end."""
+    for volume in live_volumes(source, limits, say):
+        yield Sample(volume, source.X_WL())
+        if console is not None and "stop" in console.controls.pressed():
+            return
+
+
 def track_live(
     source: LiveSource,
     *,
@@ -90,122 +83,147 @@ def track_live(
 ) -> dict[str, Any]:
     """Track a needle in the volumes of a live connection, until a limit or an interruption.
 
-    Parameters
-    ----------
-    source
-        Source of the volumes.
-    parameters
-        Parameters of the tracker, whose class selects it.
-    seed
-        Seed of every random choice; by default the one that a scanner of this package sends, or
-        else 0.
-    outlets
-        Connections to which the estimates are sent.
-    names
-        Device names of the estimates.
-    console
-        Console that shows the volumes, if any. Its pages may end the tracking.
-    out
-        Folder for estimates.csv, which grows line by line, and summary.json, written at the end.
-    limits
-        Conditions under which tracking ends by itself.
-    correct_poses
-        Whether to correct delay and calibration of the poses; see `PoseCorrector`.
-    after_volume
-        Function called after every volume with its number and the estimate.
-    say
-        Function called with each line of text for the user.
-
-    Returns
-    -------
-    Contents of summary.json.
+    Estimates go to the outlets under the devices' names. The folder gets estimates.csv, which grows
+    line by line, and summary.json, whose contents are returned. The seed is by default the one that
+    a scanner of this package sends, or else 0. The console's pages may end the tracking.
     """
-    names = names or NeedleNames()
-    started = time.perf_counter()
-    modes: Counter[str] = Counter()
-    lost = ReasonCount()
-    # Time in s to track a volume, and total time from its last byte to the sending of its estimate.
-    track_s: deque[float] = deque(maxlen=_TIMED)
-    total_s: deque[float] = deque(maxlen=_TIMED)
-    tracker: Any = None
-    context: Any = None
-    interrupted = False
-    stream = None
-    if console is not None:
-        console.controls.offer_buttons("stop")
-    if out is not None:
-        out.mkdir(parents=True, exist_ok=True)
-        stream = (out / "estimates.csv").open("w", newline="", encoding="utf-8")
-    table = EstimatesTable(stream) if stream is not None else None
-    try:
-        for number, volume in enumerate(live_volumes(source, limits or LiveLimits(), say)):
+    sent, started = names or NeedleNames(), time.perf_counter()
+    modes, delays = ModeCount(), _Delays()
+    samples = live_samples(source, limits or LiveLimits(), say, console)
+    with ExitStack() as stack:
+        sinks: list[Sink] = [modes]
+        if out is not None:
+            out.mkdir(parents=True, exist_ok=True)
+            stream = (out / "estimates.csv").open("w", newline="", encoding="utf-8")
+            table = EstimatesTable(stack.enter_context(stream))
+            sinks.append(lambda tracked: table.append(estimate_row(tracked, posed=source.posed)))
+
+        def send(tracked: Tracked) -> None:
             newest = source.newest
             assert newest is not None
-            if tracker is None:
-                noted = newest.acquisition.settings if newest.acquisition else {}
+            source.hold_grey_levels(bool(tracked.estimate))
+            for outlet in outlets:
+                items = needle_items(tracked.estimate, sent, newest.image.time)
+                outlet.send(items, topic="estimate")
+            delays.add(tracked.track_s, time.perf_counter() - newest.arrived)
+
+        sinks.insert(0, send)  # before anything that could delay the estimate
+        if console is not None:
+            console.controls.offer_buttons("stop")
+            sinks.append(lambda each: console.show(each.volume, each.estimate, each.number + 1))
+        if after_volume is not None:
+            sinks.append(lambda each: after_volume(each.number, each.estimate))
+        bench: TrackerBench | None = None
+        try:
+            first = next(samples, None)
+            ended = True
+            if first is not None:
+                said = source.newest.acquisition if source.newest else None
+                noted = int(said.settings.get("tracker_seed", 0)) if said else 0
                 tracker = MakeNeedleTracker(
                     correct_poses=correct_poses,
                     parameters=parameters,
                     period=1.0,
-                    seed=int(noted.get("tracker_seed", 0)) if seed is None else seed,
+                    seed=noted if seed is None else seed,
                 )
-                context = tracker.CreateDefaultContext()
-            began = time.perf_counter()
-            estimate = track_volume(tracker, context, volume)
-            ended = time.perf_counter()
-            source.hold_grey_levels(bool(estimate))
-            for outlet in outlets:
-                outlet.send(needle_items(estimate, names, newest.image.time), topic="estimate")
-            total_s.append(time.perf_counter() - newest.arrived)
-            track_s.append(ended - began)
-            modes[str(estimate.mode)] += 1
-            if not estimate:
-                lost.add(estimate.reason)
-            if table is not None:
-                X_WL = source.X_WL()
-                if correct_poses:
-                    X_WL = corrected_frame(tracker, context, volume, X_WL)
-                table.append(estimate_row(number, volume, estimate, X_WL, posed=source.posed))
-            if console is not None:
-                console.show(volume, estimate, number + 1)
-                if "stop" in console.controls.pressed():
-                    break
-            if after_volume is not None:
-                after_volume(number, estimate)
-    except KeyboardInterrupt:
-        interrupted = True
-    except Exception:  # compiled code may turn the interruption into an error of its own
-        if not is_interrupted():
-            raise
-        interrupted = True
-    finally:
-        if stream is not None:
-            stream.close()
+                bench = TrackerBench(tracker, logged=False)
+                ended = bench.run(chain([first], samples), sinks)
+        except KeyboardInterrupt:
+            ended = False
+        except Exception:  # compiled code may turn the interruption into an error of its own
+            if not is_interrupted():
+                raise
+            ended = False
     summary = {
         "scenario": str(source.address),
         "version": version("sonoservo"),
-        "interrupted": interrupted,
+        "interrupted": not ended,
         "wall_s": time.perf_counter() - started,
-        "volumes": modes.total(),
         "dropped": source.dropped,
         "left_out": source.left_out.total(),
         "left_out_reasons": dict(source.left_out.most_common()),
         "poses": source.posed,
-        "modes": dict(sorted(modes.items())),
-        "reasons": lost.words,
-        "advice": "" if modes["tracking"] else lost.advice,
-        "compute_ms": {"track": _spread(track_s)},
-        "latency_ms": {
-            "total": _spread(total_s),
-            "besides_tracking": _spread(np.subtract(total_s, track_s)),
-        },
+        **modes.figures(),
+        **delays.figures(),
     }
-    if correct_poses and tracker is not None:
-        errors = tracker.GetOutputPort("pose_errors").Eval(context)
-        summary["pose_errors"] = pose_error_figures(errors)
+    if correct_poses and bench is not None:
+        summary["pose_errors"] = pose_error_figures(bench.evaluate("pose_errors"))
     if out is not None:
         write_json(out / "summary.json", summary)
     return summary
+
+
+class _Delays:
+    """Times in s to track a volume, and from its last byte to the sending of its estimate."""
+
+    def __init__(self) -> None:
+        self._track: deque[float] = deque(maxlen=_TIMED)
+        self._total: deque[float] = deque(maxlen=_TIMED)
+
+    def add(self, track_s: float, total_s: float) -> None:
+        self._track.append(track_s)
+        self._total.append(total_s)
+
+    def figures(self) -> dict[str, Any]:
+        """Return the figures of a summary, in ms."""
+        return {
+            "compute_ms": {"track": _spread(self._track)},
+            "latency_ms": {
+                "total": _spread(self._total),
+                "besides_tracking": _spread(np.subtract(self._total, self._track)),
+            },
+        }
+
+
+def track_address(
+    address: str,
+    *,
+    tracker: Tracker,
+    parameters: TrackerParameters,
+    reading: ReadingFrames,
+    sending: Sending,
+    limits: LiveLimits,
+    console: "Console | None" = None,
+    out: Path | None = None,
+    after_volume: Callable[[int, NeedleEstimate], None] | None = None,
+    say: Callable[[str], None] = print,
+) -> tuple[dict[str, Any], Path, str]:
+    """Track live volumes from an address until Ctrl-C or a limit; see `track_live`.
+
+    Returns the summary, the folder of the results, and the gravest finding about the stream.
+    """
+    place = parse_address(address)
+    folder = out or Path("out") / f"{place.file_name}_track"
+    source = LiveSource(
+        place,
+        maker=live_maker(reading),
+        poses=reading.poses,
+        clock_offset=reading.clock_offset,
+        report=say,
+    )
+    names = needle_names(sending.names or [], points=sending.points)
+    with ExitStack() as stack:
+        outlets = []
+        for each in sending.serve or []:
+            own = str(parse_address(each)) == str(place)
+            outlets.append(source.link if own else stack.enter_context(opened(each, say)))
+        stack.enter_context(source)
+        if place.listens:
+            say(f"Waiting for a scanner on port {source.link.port}; Ctrl-C ends")
+        summary = track_live(
+            source,
+            parameters=parameters,
+            seed=tracker.seed,
+            outlets=outlets,
+            names=names,
+            console=console,
+            out=folder,
+            limits=limits,
+            correct_poses=tracker.correct_poses,
+            after_volume=after_volume,
+            say=say,
+        )
+    return summary, folder, brief_stream_finding(source)
 
 
 def _spread(seconds: Any) -> dict[str, float | None]:

@@ -23,24 +23,8 @@ def ask_click(
 ) -> ShapePredictionScenario:
     """Let a person click on the needle in the first slice, and return the scenario with its place.
 
-    The tracker then starts there (``tracker.start``). Saved, the scenario repeats the run without
+    The tracker then starts there (``tracker.start``); saved, the scenario repeats the run without
     another click.
-
-    Parameters
-    ----------
-    scenario
-        Scenario of shape prediction.
-    terminal
-        Terminal on which the page's address is printed.
-    host
-        Address to serve the page on, until the click.
-    by_itself
-        Whether to open the page in the browser, if there is a desktop and a person at the terminal.
-
-    Raises
-    ------
-    ConfigurationError
-        If the scenario is another experiment's, there is no slice, or it cannot listen there.
     """
     predicted = require_scenario(scenario, ShapePredictionScenario)
     with terminal.status("Acquiring the first slice ..."):
@@ -55,13 +39,7 @@ def ask_click(
 
 
 def first_slice(scenario: ShapePredictionScenario) -> ImageSlice:
-    """Return the first slice of a run, the one in which its tracker starts.
-
-    Raises
-    ------
-    ConfigurationError
-        If the scenario cannot be carried out, or the scanner loses every slice.
-    """
+    """Return the first slice of a run, the one in which its tracker starts."""
     with refusing(scenario):
         experiment = ShapePredictionExperiment(scenario)
     experiment.start()

@@ -52,21 +52,10 @@ class Pacer:
         return self._speed
 
     def wait(self, now: float) -> bool:
-        """Wait while the run is paused, or ahead of its speed.
+        """Wait while the run is paused, or ahead of its speed; ``now`` is its time in s.
 
-        Parameters
-        ----------
-        now
-            Time of the volume or of the simulation, in s.
-
-        Returns
-        -------
-        True if time has been lost on purpose, or the speed has changed.
-
-        Raises
-        ------
-        KeyboardInterrupt
-            If the console asks for the end, as Ctrl-C does.
+        Returns True if time has been lost on purpose, or the speed has changed; KeyboardInterrupt
+        is the console's wish to end, as Ctrl-C is.
         """
         controls, held = self._console.controls, False
         self._real_time.is_late(now)

@@ -39,19 +39,10 @@ class Pages:
     meshcat: Meshcat | None = None
 
     def end(self, terminal: Terminal, said: str, report: Path | None = None) -> None:
-        """Say in the page that the run has ended, and link its report.
+        """Say in the page that the run has ended, link its report, and serve the files beside it.
 
         If a person sits at the terminal, wait until they press Enter, so that the page stays
-        usable; otherwise return at once.
-
-        Parameters
-        ----------
-        terminal
-            Terminal of the command.
-        said
-            End of the run in words.
-        report
-            Report of the run, if there is one. The files in its folder are served too.
+        usable.
         """
         if report is not None:
             _serve_results(self.site, self.console, report)
@@ -111,13 +102,7 @@ def open_pages(
 
 
 def open_site(host: str) -> Site:
-    """Open a site on the first free port from 7000 on.
-
-    Raises
-    ------
-    ConfigurationError
-        If it cannot listen there.
-    """
+    """Open a site on the first free port from 7000 on."""
     try:
         return Site(host=host)
     except OSError as error:

@@ -16,24 +16,7 @@ from sonoservo.systems.signals.immutable import NotFound
 def calibrate_recording(
     recording: Recording | ReconstructedRecording, after_volume: Callable[[int], None] | None = None
 ) -> PoseErrors | NotFound:
-    """Estimate delay and hand-eye error of the poses of a recording.
-
-    Parameters
-    ----------
-    recording
-        Recording with poses. The tissue must stand still while the probe moves; a needle may move.
-    after_volume
-        Function called after every volume with its number.
-
-    Returns
-    -------
-    The errors, or a `NotFound` with the reason why they are unknown.
-
-    Raises
-    ------
-    ConfigurationError
-        If the recording has no poses, or is damaged.
-    """
+    """Estimate delay and hand-eye error of a recording's poses, from tissue that stands still."""
     if not recording.posed:
         raise ConfigurationError(f"{recording.path}: the volumes have no poses to be calibrated")
     calibration = PoseCalibration()

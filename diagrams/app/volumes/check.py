@@ -11,7 +11,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from pydrake.math import RotationMatrix
 
-from sonoservo.diagrams.app.volumes.opening import open_volumes
+from sonoservo.diagrams.app.options import Reading
+from sonoservo.diagrams.app.volumes.opening import Opened, open_volumes, with_frames
 from sonoservo.diagrams.app.volumes.reconstruct import ReconstructedRecording
 from sonoservo.systems.calibration.pose_calibration import PoseCalibration
 from sonoservo.systems.evaluation.reports.orientation_sheet import orientation_sheet
@@ -108,28 +109,9 @@ class CheckedSource:
         self.picture = orientation_sheet(volume, R_LP, caption=caption)
 
 
-def check_file(
-    path: Path,
-    *,
-    depth: str = "P",
-    **reading: Any,
-) -> CheckedSource:
-    """Check a file of volumes or frames. A refusal is a finding, too.
-
-    Parameters
-    ----------
-    path
-        Path of the file.
-    depth
-        See `Recording`.
-    **reading
-        Other arguments of `open_volumes`.
-
-    Raises
-    ------
-    ConfigurationError
-        If there is no such file.
-    """
+def check_file(path: Path, reading: Reading | None = None) -> CheckedSource:
+    """Check a file of volumes or frames; a refusal is a finding, a missing file an error."""
+    reading = reading or Reading()
     if not path.exists():
         raise ConfigurationError(f"there is no file {path}")
     if path.suffix.lower() == ".xml":
@@ -137,13 +119,13 @@ def check_file(
     checked = CheckedSource(str(path))
     try:
         try:
-            opened = open_volumes(path, depth=depth, **reading)
+            opened = open_volumes(path, reading)
         except HoldsFramesError:
-            opened = open_volumes(path, depth=depth, **reading, reconstruct=True)
+            opened = open_volumes(path, with_frames(reading, reconstruct=True))
         for note in opened.notes:
             checked.note(Check.READING, note)
         if isinstance(opened, Recording):
-            _check_recording(checked, opened, depth)
+            _check_recording(checked, opened, reading.depth)
         else:
             _check_frames(checked, opened)
     except ConfigurationError as refusal:
@@ -186,7 +168,7 @@ def check_configuration(path: Path) -> CheckedSource:
     return checked
 
 
-def brief_finding(opened: Recording | ReconstructedRecording) -> str:
+def brief_finding(opened: Opened) -> str:
     """Return the gravest of the findings that a header alone tells, on one line; may be empty."""
     file = opened.file
     findings = _check_header(file, opened.times, "volumes")
@@ -321,34 +303,19 @@ class _StreamRecord:
 
 def check_stream(
     address: Address,
+    reading: Reading | None = None,
     *,
-    depth: str = "P",
-    window: tuple[float, float] | None = None,
-    poses: str | None = None,
-    clock_offset: float | None = None,
     seconds: float = _SECONDS,
     patience: float = 30.0,
     say: Callable[[str], None] = print,
 ) -> CheckedSource:
     """Check what comes over a live connection.
 
-    Parameters
-    ----------
-    address
-        Address to connect to, or to listen on.
-    depth, window
-        See `VolumeMaker`.
-    poses, clock_offset
-        See `ImageMatcher`.
-    seconds
-        Time to listen after the first message, in s.
-    patience
-        Time to wait for the first message, in s.
-    say
-        Function called with a line of text for the user.
+    It waits ``patience`` s for the first message, and listens ``seconds`` s after it.
     """
+    reading = reading or Reading()
     checked = CheckedSource(str(address))
-    record = _StreamRecord(address, poses, clock_offset)
+    record = _StreamRecord(address, reading.poses, reading.clock_offset)
     say(f"Listening to {address} for {seconds:g} s")
     record.listen(seconds, patience)
     if not record.stamps:
@@ -359,7 +326,7 @@ def check_stream(
     devices = ", ".join(f"{shown(name)} ({kind})" for name, kind in sorted(record.stamps))
     skipped = ", ".join(shown(each) for each in sorted(record.link.skipped))
     checked.note(Check.KIND, f"it sends {devices}" + (f"; skipped: {skipped}" if skipped else ""))
-    _check_clocks(checked, record, poses)
+    _check_clocks(checked, record, reading.poses)
     left_out = Counter(record.matcher.left_out)
     for why, count in left_out.items():
         checked.note(
@@ -379,7 +346,7 @@ def check_stream(
         mm = np.array(matrices)
         mm[:, :3, 3] *= 1e3
         checked.findings += check_motion(shown(name), mm, np.array(times))
-    _check_images(checked, record, VolumeMaker(depth=depth, window=window))
+    _check_images(checked, record, VolumeMaker(depth=reading.depth, window=reading.window))
     return checked
 
 

@@ -2,35 +2,25 @@
 
 import csv
 import io
+from collections import Counter
 from collections.abc import Sequence
 from typing import Any, TextIO
 
 import numpy as np
-from pydrake.math import RigidTransform
 
-from sonoservo.systems.signals.needle_estimate import NeedleEstimate
-from sonoservo.systems.signals.volume import Volume
+from sonoservo.diagrams.tracker_bench import Tracked
+from sonoservo.systems.signals.search_reason import ReasonCount
 
 
-def estimate_row(
-    number: int, volume: Volume, estimate: NeedleEstimate, X_WL: RigidTransform, *, posed: bool
-) -> dict[str, Any]:
-    """Return an estimate as a row of ``estimates.csv``.
+def estimate_row(tracked: Tracked, *, posed: bool) -> dict[str, Any]:
+    """Return an estimate as a row of ``estimates.csv``, in the source's own frame L (LPS).
 
-    Parameters
-    ----------
-    number
-        Number of the volume.
-    volume, estimate
-        Volume, and the estimate after it in W, in m.
-    X_WL
-        Pose of the row's frame L, the source's own (LPS), at the time of the volume.
-    posed
-        Whether W differs from L; the row then also contains the tip in W.
+    If the source is posed, W differs from L, and the row also contains the tip in W.
     """
+    estimate, X_WL = tracked.estimate, tracked.X_WL
     row: dict[str, Any] = {
-        "volume": number,
-        "time_s": volume.time,
+        "volume": tracked.number,
+        "time_s": tracked.volume.time,
         "mode": str(estimate.mode),
         "estimate_time_s": estimate.time,
     }
@@ -62,14 +52,31 @@ def estimate_row(
     return row
 
 
-class EstimatesTable:
-    """Writes rows as CSV, complete after every row; the cell of a missing number is empty.
+class ModeCount:
+    """Sink that counts the tracker's modes, and why volumes gave no needle."""
 
-    Parameters
-    ----------
-    stream
-        Open text stream to write to.
-    """
+    def __init__(self) -> None:
+        self._modes: Counter[str] = Counter()
+        self._lost = ReasonCount()
+
+    def __call__(self, tracked: Tracked) -> None:
+        """Count a volume."""
+        self._modes[str(tracked.estimate.mode)] += 1
+        if not tracked.estimate:
+            self._lost.add(tracked.estimate.reason)
+
+    def figures(self) -> dict[str, Any]:
+        """Return the figures of a summary."""
+        return {
+            "volumes": self._modes.total(),
+            "modes": dict(sorted(self._modes.items())),
+            "reasons": self._lost.words,
+            "advice": "" if self._modes["tracking"] else self._lost.advice,
+        }
+
+
+class EstimatesTable:
+    """Writes rows as CSV, complete after every row; the cell of a missing number is empty."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream

@@ -1,9 +1,15 @@
-"""Opening of recorded volumes, as the options of a command say."""
+"""Opening of recorded and live volumes, as the options of a command say."""
 
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
+from sonoservo.diagrams.app.options import Reading, ReadingFrames
 from sonoservo.diagrams.app.volumes.reconstruct import ReconstructedRecording
+from sonoservo.systems.files.refusals import ConfigurationError
+from sonoservo.systems.live.frames_to_volumes import FramesToVolumes
+from sonoservo.systems.live.live_source import ImagesToVolumes
+from sonoservo.systems.live.motor_sweep import MotorSweepVolumes, load_motor_sweep
+from sonoservo.systems.live.volume_maker import VolumeMaker
 from sonoservo.systems.recording.plus_configuration import (
     PlusConfiguration,
     read_calibration,
@@ -11,55 +17,55 @@ from sonoservo.systems.recording.plus_configuration import (
 )
 from sonoservo.systems.recording.recording import Recording
 
+Opened: TypeAlias = Recording | ReconstructedRecording
 
-def open_volumes(
-    path: Path,
-    *,
-    reconstruct: bool = False,
-    depth: str = "P",
-    volume_rate: float | None = None,
-    frames: int | None = None,
-    spacing: float = 7e-4,
-    plus_config: Path | None = None,
-    calibration: str | None = None,
-    **reading: Any,
-) -> Recording | ReconstructedRecording:
-    """Open a file of volumes, or of frames to be reconstructed.
 
-    Parameters
-    ----------
-    path
-        Path of the file.
-    reconstruct
-        Whether to reconstruct volumes from 2D frames.
-    depth, volume_rate
-        See `Recording`; the rate is that of the frames if they are reconstructed.
-    frames, spacing
-        See `ReconstructedRecording`.
-    plus_config
-        Configuration of PLUS that knows transforms and the images' orientation.
-    calibration
-        Calibration of the image (`read_calibration`), which counts before the configuration's.
-    **reading
-        Other arguments of `Recording` and of its kin.
+def with_frames(reading: Reading, **frames: Any) -> ReadingFrames:
+    """Return how volumes are read with what is wanted of 2D frames."""
+    return ReadingFrames(**{**vars(reading), **frames})
 
-    Raises
-    ------
-    ConfigurationError
-        If a file is not valid; the message names the file and the fault.
-    """
-    known = read_plus_configuration(plus_config) if plus_config else PlusConfiguration()
+
+def open_volumes(path: Path, reading: Reading | None = None) -> Opened:
+    """Open a file of volumes, or of frames to be reconstructed; errors name the file and fault."""
+    options = with_frames(reading or Reading())
+    known = PlusConfiguration()
+    if options.plus_config is not None:
+        known = read_plus_configuration(options.plus_config)
     transforms = known.matrices
-    if calibration is not None:
-        name, matrix = read_calibration(calibration)
+    if options.calibration is not None:  # which counts before the configuration's
+        name, matrix = read_calibration(options.calibration)
         transforms[name] = matrix
-    reading |= {"transforms": transforms, "orientation": known.orientation}
-    opened: Recording | ReconstructedRecording
-    if reconstruct:
+    common: dict[str, Any] = {
+        name: getattr(options, name)
+        for name in ("poses", "window", "dynamic_range_db", "void", "luminance")
+    } | {"transforms": transforms, "orientation": known.orientation}
+    opened: Opened
+    if options.reconstruct:
         opened = ReconstructedRecording(
-            path, frames=frames, spacing=spacing, frame_rate=volume_rate, clip=known.clip, **reading
+            path,
+            frames=options.frames,
+            spacing=options.spacing,
+            frame_rate=options.volume_rate,
+            clip=known.clip,
+            **common,
         )
     else:
-        opened = Recording(path, depth=depth, volume_rate=volume_rate, **reading)
+        opened = Recording(path, depth=options.depth, volume_rate=options.volume_rate, **common)
     opened.notes[:0] = known.notes()
     return opened
+
+
+def live_maker(reading: ReadingFrames) -> ImagesToVolumes:
+    """Return the converter of received images to volumes; a motor's file has its own range."""
+    try:
+        if reading.motor is not None:
+            return MotorSweepVolumes(load_motor_sweep(reading.motor), window=reading.window)
+        grey: dict[str, Any] = {
+            "window": reading.window,
+            "dynamic_range_db": reading.dynamic_range_db,
+        }
+        if reading.reconstruct:
+            return FramesToVolumes(frames=reading.frames, spacing=reading.spacing, **grey)
+        return VolumeMaker(depth=reading.depth, **grey)
+    except ValueError as error:
+        raise ConfigurationError(str(error)) from error

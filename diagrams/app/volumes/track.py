@@ -1,59 +1,39 @@
 """Tracking in recorded volumes."""
 
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 
 from sonoservo.diagrams.app.pages.pacer import Pacer
 from sonoservo.diagrams.app.volumes.calibrate import pose_error_figures
-from sonoservo.diagrams.app.volumes.estimates_table import estimate_row
-from sonoservo.diagrams.app.volumes.reconstruct import ReconstructedRecording
+from sonoservo.diagrams.app.volumes.estimates_table import ModeCount, estimate_row
+from sonoservo.diagrams.app.volumes.opening import Opened
 from sonoservo.diagrams.app.volumes.tracked_recording import TrackedRecording
-from sonoservo.diagrams.app.volumes.true_values import true_values
 from sonoservo.diagrams.needle_tracker import MakeNeedleTracker
-from sonoservo.diagrams.tracker_bench import corrected_frame
+from sonoservo.diagrams.tracker_bench import Sample, Sink, Tracked, TrackerBench
 from sonoservo.diagrams.trackers.registry import TRACKERS
 from sonoservo.diagrams.trackers.tracker_parts import STARTS, TrackerParameters
 from sonoservo.systems.evaluation.explanation.explained_volume import clear_explanations
-from sonoservo.systems.evaluation.explanation.explanation_recorder import ExplanationRecorder
 from sonoservo.systems.evaluation.metrics import summarize
 from sonoservo.systems.evaluation.reports.track_plots import VolumePictures, picture_planes
-from sonoservo.systems.evaluation.run_log import RunLog
-from sonoservo.systems.evaluation.run_logger import RunLogger
 from sonoservo.systems.files.claims import claim_folder
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.typed_yaml import suggest
 from sonoservo.systems.files.writing import Unwritten
-from sonoservo.systems.recording.recording import Recording
 from sonoservo.systems.recording.side_files import TRUTH, Truth, read_truth, side_path
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
-from sonoservo.systems.signals.ports import DiagramBuilder
-from sonoservo.systems.signals.search_reason import ReasonCount
-from sonoservo.systems.signals.volume import Volume
 
 if TYPE_CHECKING:
     from sonoservo.systems.display.console.console import Console
 
 _PICTURES = 6
 """Number of volumes of a recording that the report shows."""
-
-
-@dataclass
-class _Progress:
-    """Results so far."""
-
-    times: list[float] = field(default_factory=list)
-    estimates: list[NeedleEstimate] = field(default_factory=list)
-    rows: list[dict[str, Any]] = field(default_factory=list)
-    pictures: list[VolumePictures] = field(default_factory=list)
-    compute: dict[str, list[float]] = field(default_factory=lambda: {"read": [], "track": []})
 
 
 def tracker_parameters(
@@ -96,7 +76,7 @@ def tracker_parameters(
 
 
 def track_recording(
-    recording: Recording | ReconstructedRecording,
+    recording: Opened,
     *,
     parameters: TrackerParameters | None = None,
     seed: int | None = None,
@@ -147,156 +127,99 @@ def track_recording(
     """
     if explain and out is None:
         raise ConfigurationError("explain: there is no folder to keep explanations in; give out")
-    with claim_folder(out):
-        return _track(
-            recording, parameters, seed, real_time, console, out, explain, correct_poses, command,
-            after_volume,
-        )  # fmt: skip
-
-
-def _track(
-    recording: Recording | ReconstructedRecording,
-    parameters: TrackerParameters | None,
-    seed: int | None,
-    real_time: bool,
-    console: "Console | None",
-    out: Path | None,
-    explain: bool,
-    correct_poses: bool,
-    command: str,
-    after_volume: Callable[[int, NeedleEstimate], None] | None,
-) -> TrackedRecording:
     seed = int(recording.settings.get("tracker_seed", 0)) if seed is None else seed
     truth_path = side_path(recording.path, TRUTH)
     truth = read_truth(truth_path) if truth_path.is_file() else None
-
-    tracker = MakeNeedleTracker(
-        parameters=parameters, period=1.0, seed=seed, correct_poses=correct_poses
-    )
     motion = recording[0].motion
-    logger = RunLogger(geometry=motion.geometry if motion else None)
-    builder = DiagramBuilder()
-    for name, system in (("needle_tracker", tracker), ("run_logger", logger)):
-        builder.AddNamedSystem(name, system)
-    for port in ("estimate", "measurement", "detection"):
-        if tracker.HasOutputPort(port):
-            builder.Connect(tracker.GetOutputPort(port), logger.GetInputPort(port))
-    builder.ExportInput(tracker.GetInputPort("volume"), "volume")
-    if out is not None:
-        clear_explanations(out)
-    if explain and out is not None:
-        if not tracker.HasOutputPort("explanation"):
-            raise ConfigurationError("explain: this tracker has no output 'explanation'")
-        recorder = builder.AddNamedSystem("explanation_recorder", ExplanationRecorder(folder=out))
-        for port in ("estimate", "explanation", "detection"):
-            builder.Connect(tracker.GetOutputPort(port), recorder.GetInputPort(port))
-        builder.ConnectInput("volume", recorder.GetInputPort("volume"))
-    for port in ("X_WP", "X_WT", "needle", "contact_force"):
-        builder.ExportInput(logger.GetInputPort(port), port)
-    diagram = builder.Build()
-    context = diagram.CreateDefaultContext()
-    estimate_port = tracker.GetOutputPort("estimate")
-    tracker_context = tracker.GetMyContextFromRoot(context)
-
-    done = _Progress()
-    pacer = Pacer(console, speed=float(real_time), keeps_speed=True) if console else None
+    times: list[float] = []
+    estimates: list[NeedleEstimate] = []
+    rows: list[dict[str, Any]] = []
+    pictures: list[VolumePictures] = []
+    modes = ModeCount()
     pictured = set(np.linspace(0, len(recording) - 1, _PICTURES).round().astype(int).tolist())
-    interrupted, started = False, time.perf_counter()
-    try:
-        for number in range(len(recording)):
-            clock = [time.perf_counter()]
-            volume = recording[number]
-            clock.append(time.perf_counter())
-            if real_time and pacer is None:
-                ahead = recording.times[number] - recording.times[0] - (clock[1] - started)
-                time.sleep(max(0.0, ahead))
-                clock[1] = time.perf_counter()
-            context.SetTime(volume.time)
-            diagram.GetInputPort("volume").FixValue(context, Value[object](volume))
-            diagram.GetInputPort("X_WP").FixValue(context, Value(volume.X_WP))
-            if truth is not None:
-                sample = truth.at(volume.time)
-                diagram.GetInputPort("X_WT").FixValue(context, Value(RigidTransform()))
-                needle = Value[object](truth.needles[sample])
-                diagram.GetInputPort("needle").FixValue(context, needle)
-                force = diagram.GetInputPort("contact_force")
-                force.FixValue(context, [truth.contact_force[sample]])
-            diagram.ExecuteForcedEvents(context)
-            estimate: NeedleEstimate = estimate_port.Eval(tracker_context)
-            X_WL = recording.X_WL(number)
-            if correct_poses:
-                X_WL = corrected_frame(tracker, tracker_context, volume, X_WL)
-            clock.append(time.perf_counter())
-            _note(done, recording, number, volume, estimate, X_WL, clock, number in pictured)
-            if after_volume is not None:
-                after_volume(number, estimate)
-            if console is not None and pacer is not None:
-                console.show(volume, estimate, number + 1, **true_values(truth, volume, estimate))
-                pacer.wait(volume.time)
-    except KeyboardInterrupt:
-        interrupted = True
-    wall = time.perf_counter() - started
 
-    log = logger.log(
-        logger.GetMyContextFromRoot(context),
-        compute={name: np.array(each) for name, each in done.compute.items()},
-    )
-    summary = _summarize(recording, done, log, truth, interrupted, wall)
-    if correct_poses:
-        errors = tracker.GetOutputPort("pose_errors").Eval(tracker_context)
-        summary["pose_errors"] = pose_error_figures(errors)
-    unwritten = Unwritten()
-    result = TrackedRecording(
-        done.estimates, done.rows, summary, log, times=done.times, pictures=done.pictures
-    )
-    if out is not None:
-        result.write(out, command, unwritten)
+    def note(tracked: Tracked) -> None:
+        times.append(tracked.volume.time)
+        estimates.append(tracked.estimate)
+        rows.append(estimate_row(tracked, posed=recording.posed))
+        if tracked.number in pictured:
+            planes = picture_planes(tracked.volume, tracked.estimate.mode, tracked.estimate.curve)
+            pictures.append(planes)
+
+    sinks: list[Sink] = [note, modes]
+    if after_volume is not None:
+        sinks.append(lambda tracked: after_volume(tracked.number, tracked.estimate))
+    if console is not None:
+        sinks.append(_shown(console, truth, real_time))
+    with claim_folder(out):
+        if out is not None:
+            clear_explanations(out)
+        bench = TrackerBench(
+            MakeNeedleTracker(
+                parameters=parameters, period=1.0, seed=seed, correct_poses=correct_poses
+            ),
+            geometry=motion.geometry if motion else None,
+            explain=out if explain else None,
+        )
+        started = time.perf_counter()
+        ended = bench.run(_samples(recording, truth, real_time and console is None), sinks)
+        summary = {
+            "scenario": recording.path.name,
+            "version": version("sonoservo"),
+            "interrupted": not ended,
+            "wall_s": time.perf_counter() - started,
+            "skipped": recording.skipped,
+            "poses": recording.posed,
+            "truth": truth is not None,
+            **modes.figures(),
+        }
+        log = bench.log()
+        figures = summarize(log)
+        kept = ("detection", "tracking", "compute_ms") if truth else ("compute_ms",)
+        summary |= {name: figures[name] for name in kept}
+        if correct_poses:
+            summary["pose_errors"] = pose_error_figures(bench.evaluate("pose_errors"))
+        unwritten = Unwritten()
+        result = TrackedRecording(estimates, rows, summary, log, times=times, pictures=pictures)
+        if out is not None:
+            result.write(out, command, unwritten)
     return replace(result, failure=unwritten.failure)
 
 
-def _note(
-    done: _Progress,
-    recording: Recording | ReconstructedRecording,
-    number: int,
-    volume: Volume,
-    estimate: NeedleEstimate,
-    X_WL: RigidTransform,
-    clock: Sequence[float],
-    pictured: bool,
-) -> None:
-    for name, start, stop in zip(done.compute, clock, clock[1:], strict=False):
-        done.compute[name].append(stop - start)
-    done.times.append(volume.time)
-    done.estimates.append(estimate)
-    posed = recording.posed
-    done.rows.append(estimate_row(number, volume, estimate, X_WL, posed=posed))
-    if pictured:
-        done.pictures.append(picture_planes(volume, estimate.mode, estimate.curve))
+def _samples(recording: Opened, truth: Truth | None, real_time: bool) -> Iterator[Sample]:
+    """Yield the volumes of a recording with the truth beside it, at its own pace if so wished."""
+    started = time.perf_counter()
+    for number in range(len(recording)):
+        began = time.perf_counter()
+        volume = recording[number]
+        read = time.perf_counter()
+        if real_time:
+            ahead = recording.times[number] - recording.times[0] - (read - started)
+            time.sleep(max(0.0, ahead))
+        observed: dict[str, Any] = {}
+        if truth is not None:
+            sample = truth.at(volume.time)
+            observed = {
+                "X_WT": RigidTransform(),
+                "needle": truth.needles[sample],
+                "contact_force": [truth.contact_force[sample]],
+            }
+        yield Sample(volume, recording.X_WL(number), observed, read - began)
 
 
-def _summarize(
-    recording: Recording | ReconstructedRecording,
-    done: _Progress,
-    log: RunLog,
-    truth: Truth | None,
-    interrupted: bool,
-    wall: float,
-) -> dict[str, Any]:
-    modes = [str(each.mode) for each in done.estimates]
-    lost = ReasonCount(each.reason for each in done.estimates if not each)
-    summary: dict[str, Any] = {
-        "scenario": recording.path.name,
-        "version": version("sonoservo"),
-        "interrupted": interrupted,
-        "wall_s": wall,
-        "volumes": len(modes),
-        "skipped": recording.skipped,
-        "poses": recording.posed,
-        "truth": truth is not None,
-        "modes": {mode: modes.count(mode) for mode in sorted(set(modes))},
-        "reasons": lost.words,
-        "advice": lost.advice if "tracking" not in modes else "",
-    }
-    figures = summarize(log)
-    kept = ("detection", "tracking", "compute_ms") if truth is not None else ("compute_ms",)
-    return summary | {name: figures[name] for name in kept}
+def _shown(console: "Console", truth: Truth | None, real_time: bool) -> Sink:
+    """Return a sink that shows each volume beside the truth, and holds the pace of the console."""
+    pacer = Pacer(console, speed=float(real_time), keeps_speed=True)
+
+    def show(tracked: Tracked) -> None:
+        volume, estimate, true = tracked.volume, tracked.estimate, {}
+        if truth is not None:
+            sample = truth.at(volume.time)
+            needle, error = truth.needles[sample], np.nan
+            if needle and estimate.curve is not None:
+                error = 1e3 * float(np.linalg.norm(estimate.curve.tip - needle.tip))
+            true = {"error": error, "force": float(truth.contact_force[sample])}
+        console.show(volume, estimate, tracked.number + 1, **true)
+        pacer.wait(volume.time)
+
+    return show

@@ -73,29 +73,13 @@ class TrackedRecording:
         return plots
 
     def plot(self) -> Figure:
-        """Return the plot of the estimated tip, which a notebook shows.
-
-        Raises
-        ------
-        ValueError
-            If no volume was tracked.
-        """
+        """Return the plot of the estimated tip, which a notebook shows, if there is one."""
         if not self.rows:
             raise ValueError("no volume was tracked, so there is nothing to plot")
         return self.plots()["tip.png"][1]
 
     def write(self, out: Path, command: str, unwritten: Unwritten) -> None:
-        """Write the results to a folder.
-
-        Parameters
-        ----------
-        out
-            Folder of estimates.csv, estimates.json, summary.json, log.npz, plots and report.html.
-        command
-            Command that repeats the tracking, for the report.
-        unwritten
-            Errors of files that could not be written are added to it.
-        """
+        """Write the results, and the command that repeats them; collect the errors of files."""
         with unwritten.collect():
             write_json(out / "summary.json", self.summary)
             write_atomically(out / "estimates.csv", estimates_csv(self.rows))

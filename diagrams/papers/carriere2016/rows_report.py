@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 from sonoservo.diagrams.papers.carriere2016.protocols import SETS, SWEEP_SEEDS
 from sonoservo.diagrams.papers.carriere2016.runs import AS_PUBLISHED, TAUGHT
 from sonoservo.diagrams.studies.study import Outcome
-from sonoservo.diagrams.studies.study_report import StudyRow
-from sonoservo.diagrams.studies.verdicts import can_be_judged
+from sonoservo.diagrams.studies.study_report import StudyRow, can_be_judged
 from sonoservo.systems.evaluation.intervals import mean_interval, proportion_interval
 
 Floats = NDArray[np.float64]

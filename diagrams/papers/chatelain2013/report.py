@@ -54,6 +54,8 @@ def report(outcomes: Sequence[Outcome], logs: Path | None = None) -> Study:
             _no_needle(group)
         elif name.startswith("settings"):
             _settings(group)
+        elif name.startswith("open"):
+            _open_value(group)
         elif name.startswith(_ABLATION):
             _ablation(group)
     runs = {name: group.runs for name, group in groups.items()}
@@ -249,6 +251,16 @@ def _share_of_period(run: Run) -> float:
 def _no_needle(group: Comparison) -> None:
     group.row("volumes", "", lambda m: Value(sum(len(run.volumes.tip) for run in m.runs)))
     add_false_start_rows(group, target=0)
+
+
+def _open_value(group: Comparison) -> None:
+    """Add the rows of the published method with another value of what the paper leaves open."""
+    if "alpha_0" in group.name:
+        group.row("back after a move, all moves of all runs", "%", _returned)
+    else:
+        group.row("runs that converged", "%", lambda m: m.share(lambda run: run.converged()))
+    group.errors("tip", "tip error", "mm", _MM)
+    group.rows = [row for row in group.rows if "largest" not in row.quantity]
 
 
 def _ablation(group: Comparison) -> None:

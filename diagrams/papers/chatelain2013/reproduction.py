@@ -2,7 +2,8 @@
 
 In addition to figs. 4, 5 and 6, there are bent needles, other directions, other settings of the
 transducer, volumes without a needle, and fig. 5 with one part of our method switched off. All but
-the last are run with the published method, too.
+the last are run with the published method, too; it alone is run with other values of what the paper
+leaves open.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -42,6 +43,22 @@ SETTINGS: Mapping[str, Sequence[str]] = {
 }
 """Changes of the scenario by settings of the transducer: depth, sector, frames and rate."""
 
+OPEN_VALUES: Mapping[str, Sequence[str]] = {
+    **{
+        f"candidates of a difference {size} mm3": [f"tracker.detection.candidate_volume={size}e-9"]
+        for size in (2, 10, 30)
+    },
+    **{
+        f"candidates of a volume {size} mm3": [f"tracker.localization.candidate_volume={size}e-9"]
+        for size in (60, 120, 250, 800)
+    },
+    **{
+        f"alpha_0 {angle} deg": [f"tracker.localization.max_angle_deg={angle}"]
+        for angle in (10, 20, 50)
+    },
+}
+"""Changes of the published method by values of what the paper leaves open; chosen are others."""
+
 _SOONER = ["duration=24"]
 """End of a run whose errors at rest are not reported; fig. 5's needle rests from 19 s on."""
 
@@ -71,8 +88,8 @@ class Protocol:
         Changes of the scenario.
     drawn
         Function that draws further changes for a seed.
-    compared
-        Whether the published method is run, too.
+    ours, compared
+        Whether our method and the published one are run.
     """
 
     scenario: str
@@ -80,6 +97,7 @@ class Protocol:
     quick: tuple[int, float]
     changes: Sequence[str] = ()
     drawn: Callable[[int], list[str]] | None = None
+    ours: bool = True
     compared: bool = True
 
 
@@ -170,6 +188,16 @@ PROTOCOLS: Mapping[str, Protocol] = {
         )
         for name, changes in ABLATIONS.items()
     },
+    **{
+        f"open, {name}": Protocol(
+            "chatelain2013_fig6" if name.startswith("alpha") else "chatelain2013_fig5",
+            3,
+            (1, 11.0),
+            changes,
+            ours=False,
+        )
+        for name, changes in OPEN_VALUES.items()
+    },
 }
 
 
@@ -204,7 +232,8 @@ def study_cases(options: StudyOptions) -> list[Case]:
             changes = [*protocol.changes, *([f"duration={duration}"] if options.quick else [])]
             changes += protocol.drawn(seed) if protocol.drawn else []
             settings = {"scenario": protocol.scenario, "changes": changes}
-            cases.append(Case(name, seed, settings))
+            if protocol.ours:
+                cases.append(Case(name, seed, settings))
             if protocol.compared:
                 cases.append(Case(name + AS_PUBLISHED, seed, settings | {"as_published": True}))
     return cases

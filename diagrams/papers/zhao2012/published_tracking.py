@@ -34,17 +34,9 @@ _VELOCIMETER = replace(VELOCIMETER, min_correlation=1e-6, min_speed_std=2e-3)
 
 
 def with_input(state: AxisTipState, change: float, dt: float) -> AxisTipState:
-    """Return a predicted state with the control input of eq. 1, B u.
+    """Return a predicted state with the control input of eq. 1: B maps u to (0, dt u, u).
 
-    Parameters
-    ----------
-    state
-        State predicted without input.
-    change
-        Change of the commanded speed along the needle at the beginning of the step, in m/s; u is
-        that along the estimated direction.
-    dt
-        Duration of the step, in s. B maps u to (0, dt u, u).
+    ``change`` is that of the commanded speed at the beginning of the step of ``dt`` s, in m/s.
     """
     u = change * state.direction
     length = state.length + dt * change
@@ -62,17 +54,10 @@ class PublishedResult:
 
 
 class PublishedTracking:
-    """The published method, called for each volume.
+    """The published method, called for each volume; ``towards`` as in `Tracking`.
 
     The search region of the speckle tracking lies around the known tip, as printed; a match at its
     border does not count. The first two volumes give RANSAC's result and initialize the filter.
-
-    Parameters
-    ----------
-    towards
-        (3,) rough direction in W from entry to tip.
-    seed
-        Seed of the random samples.
     """
 
     def __init__(self, towards: Floats, seed: int) -> None:
@@ -85,14 +70,9 @@ class PublishedTracking:
     def __call__(
         self, sweep: RadioFrequencySweep, volume: Volume, change: float | None = None
     ) -> PublishedResult:
-        """Track the needle in the next sweep and the volume made from it.
+        """Track the needle in the next sweep and its volume.
 
-        Parameters
-        ----------
-        sweep, volume
-            Next sweep and its volume.
-        change
-            Change of the commanded speed since the last volume, in m/s; None for a hand.
+        ``change`` is that of the commanded speed since the last volume, in m/s; None for a hand.
         """
         found = localize_as_published(volume, self._towards, 1, self._rng)
         measured = None

@@ -119,19 +119,7 @@ def localize_as_published(
 ) -> NeedleMeasurement | NotFound:
     """Localize the needle by RANSAC in the whole volume; see `localize_in_whole_volume`.
 
-    Parameters
-    ----------
-    volume
-        Volume to search.
-    towards
-        (3,) rough direction in W from entry to tip, which decides which end is the tip.
-    refits
-        Number of least-squares refits of the best sample: 0 for the sample alone, 1 for the
-        published local optimization.
-    rng
-        Generator that draws the samples.
-    candidate_volume
-        Total volume of the voxels that thresholding keeps, in m^3.
+    Without ``refits`` the axis is that of the best sample; 1 is the published local optimization.
     """
     parameters = WholeVolumeRansacParameters(
         candidate_volume=candidate_volume, ransac=replace(_RANSAC, refits=refits), tip=_TIP
@@ -145,15 +133,7 @@ def localize_as_published(
 
 @dataclass(frozen=True, eq=False)
 class Tracked:
-    """Results of the tracker after a volume.
-
-    Parameters
-    ----------
-    estimate
-        Estimate of RANSAC and Kalman filter.
-    measurement, velocity
-        Results of RANSAC and of the velocimeter.
-    """
+    """Estimate of RANSAC and Kalman filter after a volume, RANSAC's and velocimeter's results."""
 
     estimate: NeedleEstimate
     measurement: NeedleMeasurement | NotFound
@@ -163,14 +143,7 @@ class Tracked:
 class Tracking:
     """Tracker that is called for each volume, without a simulation.
 
-    Parameters
-    ----------
-    towards
-        (3,) rough direction in W from entry to tip.
-    seed
-        Seed of the random samples.
-    with_velocity
-        Whether the filter receives the velocity.
+    ``towards`` is the (3,) rough direction in W from entry to tip.
     """
 
     def __init__(self, towards: NDArray[np.float64], seed: int, with_velocity: bool = True) -> None:
@@ -184,10 +157,7 @@ class Tracking:
         self._started = False
 
     def __call__(self, sweep: RadioFrequencySweep, volume: Volume) -> Tracked:
-        """Track the needle in the next sweep and the volume made from it.
-
-        The first volume starts the tracker by RANSAC in the whole volume.
-        """
+        """Track the needle in the next sweep and its volume; the first starts the tracker."""
         speckle = sweep if self._with_velocity else NotFound("the velocity is not measured")
         for port, value in (("volume", volume), ("speckle", speckle)):
             self._tracker.GetInputPort(port).FixValue(self._context, Value[object](value))

@@ -49,14 +49,8 @@ _KIND[list] = "a list of lines of text"
 class JobQueue:
     """Jobs of a batch system that serve as workers.
 
-    Parameters
-    ----------
-    kind
-        Class of dask-jobqueue, such as ``SLURMCluster``.
-    jobs
-        Number of jobs to ask for.
-    arguments
-        Arguments of the class.
+    `kind`: class of dask-jobqueue, such as ``SLURMCluster``; `jobs`: number of jobs to ask for;
+    `arguments`: arguments of the class.
     """
 
     kind: type

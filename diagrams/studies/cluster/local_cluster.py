@@ -1,4 +1,4 @@
-"""Cluster on this machine: a scheduler and a worker in threads of this process."""
+"""Cluster on this machine: a scheduler in this process, and workers in processes of their own."""
 
 import logging
 from collections.abc import Iterator
@@ -6,6 +6,8 @@ from contextlib import contextmanager
 
 import dask
 from distributed import LocalCluster
+
+from sonoservo.diagrams.studies.processes import THREADS, keeping_ctrl_c
 
 _CALM = {
     "distributed.worker.profile.enabled": False,
@@ -19,22 +21,20 @@ _CALM = {
 
 @contextmanager
 def local_cluster(cases: int) -> Iterator[LocalCluster]:
-    """Start a scheduler and a worker, which end with the block.
+    """Start a scheduler and a worker for each of so many cases at a time; they end with the block.
 
-    The worker only waits for its cases, whose processes end with this one. A process for each would
-    cost more than a second of processor.
+    Yields
+    ------
+    The cluster.
     """
-    with (
-        dask.config.set(_CALM),
-        LocalCluster(
-            n_workers=1,
-            threads_per_worker=cases,
-            processes=False,
-            protocol="tcp",
+    with dask.config.set(_CALM), keeping_ctrl_c():
+        cluster = LocalCluster(
+            n_workers=cases,
+            threads_per_worker=1,
             host="127.0.0.1",
-            memory_limit=0,
             dashboard_address="127.0.0.1:0",
             silence_logs=logging.CRITICAL + 1,
-        ) as cluster,
-    ):
+            env=dict.fromkeys(THREADS, "1"),
+        )
+    with dask.config.set(_CALM), cluster:
         yield cluster

@@ -1,113 +1,39 @@
-"""The worker's side of a cluster: cases in processes of their own.
-
-Dask's worker only waits for them, so a case that crashes, hangs or fills the memory never takes the
-worker along, and can be ended at any time.
-"""
+"""The worker's side of a cluster: a case as a task of a Dask worker."""
 
 import os
-import subprocess
-import sys
+import pickle
 import threading
-import time
-from collections.abc import Callable, Mapping
-from contextlib import suppress
+from collections.abc import Mapping
 from dataclasses import dataclass
-from multiprocessing import Pipe
-from typing import Any, Literal
+from itertools import count
 
-from sonoservo.diagrams.studies.cluster import case_process
+from distributed import get_worker
+
+from sonoservo.diagrams.studies.fingerprint import package_identity
 from sonoservo.diagrams.studies.processes import THREADS
-from sonoservo.diagrams.studies.study import CASES_PER_PROCESS, DIED
+from sonoservo.diagrams.studies.study import CASES_PER_PROCESS, Finished, perform
 
-_START_S = 120.0
-"""Longest time in s that a process may need to start."""
+_LEAVE_S = 1.0
+"""Time in s from the end of a worker's last case until it makes way for another one; the result has
+been fetched by then."""
 
-_LOOK_S = 0.2
-"""Time in s between two looks whether a case is still wanted."""
+_cases = count(1)
 
 
 @dataclass(frozen=True)
-class Reply:
-    """Answer of a worker to a case.
+class Refusal:
+    """Answer of a worker whose package differs: its address, and its `package_identity`."""
 
-    Parameters
-    ----------
-    kind
-        "finished"; "lost" if the case's process ended or took too long; "refused" if the worker
-        cannot run such cases.
-    content
-        `Finished` case, reason of a loss, or identity or reason of a refusal.
-    """
-
-    kind: Literal["finished", "lost", "refused"]
-    content: Any
+    worker: str
+    identity: Mapping[str, str]
 
 
-def _search_path() -> str:
-    """Return where this process finds modules, such as those next to the program's script."""
-    return os.pathsep.join(filter(None, sys.path))
+def run_case(message: bytes, identity: Mapping[str, str], limit: float) -> Finished | Refusal:
+    """Run a case in a worker's process, with one thread.
 
-
-class _CaseProcess:
-    """Process that runs cases one after the other, with one thread."""
-
-    def __init__(self) -> None:
-        ours, theirs = Pipe()
-        with theirs:
-            command = [sys.executable, "-m", case_process.__name__]
-            self._process = subprocess.Popen(
-                [*command, str(theirs.fileno()), str(os.getpid())],
-                pass_fds=[theirs.fileno()],
-                stdin=subprocess.DEVNULL,
-                start_new_session=True,  # Ctrl-C is not for cases
-                env={**os.environ, **dict.fromkeys(THREADS, "1"), "PYTHONPATH": _search_path()},
-            )
-        self.connection = ours
-        self.cases, self.rested = 0, 0.0
-        try:
-            if not ours.poll(_START_S):
-                raise EOFError
-            self.identity: Mapping[str, str] = ours.recv()
-        except (EOFError, OSError):
-            self.end()
-            raise
-
-    def end(self) -> None:
-        """End the process at once."""
-        self._process.kill()
-        self._process.wait()
-        self.connection.close()
-
-
-_resting: list[_CaseProcess] = []
-_lock = threading.Lock()
-
-
-def _take() -> _CaseProcess:
-    """Return a process that is ready for a case."""
-    while True:
-        with _lock:
-            if not _resting:
-                break
-            process = _resting.pop()
-        # A process that rests for long ends itself.
-        if time.monotonic() - process.rested < case_process.IDLE_S / 2:
-            return process
-        process.end()
-    return _CaseProcess()
-
-
-def _give_back(process: _CaseProcess) -> None:
-    if process.cases >= CASES_PER_PROCESS:
-        process.end()
-        return
-    process.rested = time.monotonic()
-    with _lock:
-        _resting.append(process)
-
-
-def run_case(message: bytes, identity: Mapping[str, str], limit: float) -> Reply:
-    """Run a case as a task of a Dask worker.
+    The process ends if the case takes longer than its limit, as if the case had crashed: its nanny
+    replaces it, and the scheduler counts a failure. After some cases, the nanny replaces it anyway,
+    because a run leaves memory behind.
 
     Parameters
     ----------
@@ -118,64 +44,19 @@ def run_case(message: bytes, identity: Mapping[str, str], limit: float) -> Reply
     limit
         Longest time in s that the case may take.
     """
-    try:
-        process = _take()
-    except (EOFError, OSError) as error:
-        return Reply("refused", f"no process starts: {error or 'it ends at once'}")
-    if process.identity != identity:
-        _give_back(process)
-        return Reply("refused", process.identity)
-    try:
-        reply = _wait(process, message, limit, _is_wanted())
-    except BaseException:
-        process.end()
-        raise
-    if reply.kind == "lost":
-        process.end()
-    else:
-        process.cases += 1
-        _give_back(process)
-    return reply
-
-
-def _wait(process: _CaseProcess, message: bytes, limit: float, wanted: Callable[[], bool]) -> Reply:
-    deadline = time.monotonic() + limit
-    try:
-        process.connection.send_bytes(message)
-        while not process.connection.poll(_LOOK_S):
-            if time.monotonic() > deadline:
-                return Reply("lost", f"no result within {limit:g} s")
-            if not wanted():
-                return Reply("lost", "it is not wanted any more")
-        kind, content = process.connection.recv()
-    except (EOFError, OSError):
-        return Reply("lost", DIED)
-    return Reply("refused" if kind == "unloadable" else kind, content)
-
-
-def _is_wanted() -> Callable[[], bool]:
-    """Return a function that tells whether the present task of the worker is still wanted.
-
-    It is not if it was cancelled, or if the client or the scheduler is gone.
-    """
-    from distributed import get_worker
-    from distributed.core import Status
-
+    os.environ.update(dict.fromkeys(THREADS, "1"))  # before the libraries are imported
     worker = get_worker()
-    key = worker.get_current_task()
-
-    def wanted() -> bool:
-        task = worker.state.tasks.get(key)
-        running = worker.status in (Status.running, Status.paused, Status.closing_gracefully)
-        return running and task is not None and task.state == "executing"
-
-    return wanted
-
-
-def end_resting_processes() -> None:
-    """End the processes that wait for a case."""
-    with _lock:
-        processes, _resting[:] = _resting[:], []
-    for process in processes:
-        with suppress(OSError):
-            process.end()
+    if package_identity() != identity:
+        return Refusal(worker.address, package_identity())
+    work, store, case = pickle.loads(message)
+    watch = threading.Timer(limit, os._exit, [1])
+    watch.daemon = True
+    watch.start()
+    try:
+        return perform(work, case, store)
+    finally:
+        watch.cancel()
+        if next(_cases) >= CASES_PER_PROCESS and worker.nanny is not None:
+            worker.loop.add_callback(
+                worker.loop.call_later, _LEAVE_S, worker.close_gracefully, restart=True
+            )

@@ -41,14 +41,9 @@ _WEAKEST = 0.1
 class DrawnDials:
     """Dials of one sequence.
 
-    Parameters
-    ----------
-    strengths
-        Strength of each dial that is on, relative to the moderate one.
-    changes
-        Assignments that turn the dials in a scenario.
-    max_dip_deg, max_speed
-        Upper limits of the needle's angle below the horizontal in deg, and of its speed in m/s.
+    `strengths`: strength of each dial that is on, relative to the moderate one; `changes`:
+    assignments that turn the dials in a scenario; `max_dip_deg`, `max_speed`: upper limits of the
+    needle's angle below the horizontal in deg, and of its speed in m/s.
     """
 
     strengths: Mapping[str, float] = field(default_factory=dict)
@@ -97,18 +92,9 @@ _INDENTATION = 4e-3
 class DrawnScanner:
     """Scanner and tissue of a sequence.
 
-    Parameters
-    ----------
-    name
-        Name or path of the probe.
-    transducer, imaging
-        Hardware of the probe, and settings of the scanner.
-    tissue
-        Tissue, with structures where its file puts them.
-    parameters
-        Parameters of needle, noise and errors.
-    seed
-        Seed of the noise.
+    `name`: name or path of the probe; `transducer`, `imaging`: hardware of the probe, and settings
+    of the scanner; `tissue`: tissue, with structures where its file puts them; `parameters`:
+    parameters of needle, noise and errors; `seed`: seed of the noise.
     """
 
     name: str
@@ -125,7 +111,7 @@ class DrawnScanner:
 
     @property
     def acoustic_geometry(self) -> SweepGeometry:
-        """Where the samples really lie in tissue with another speed of sound."""
+        """Geometry of the samples as they lie in tissue with another speed of sound."""
         speed = self.tissue.sound_speed or self.imaging.sound_speed
         pitch = self.geometry.sample_pitch * (speed / self.imaging.sound_speed)
         return replace(self.geometry, sample_pitch=pitch, sound_speed=speed)

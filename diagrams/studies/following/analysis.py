@@ -53,12 +53,8 @@ _LAG_TIME = 2.0
 class Run:
     """One finished run of following, as its record keeps it; see `describe_run`.
 
-    Parameters
-    ----------
-    outcome
-        Outcome of a run of the study that has not failed.
-    logs
-        Folder of the logs, which plots read; None if there are none.
+    `outcome`: outcome of a run of the study that has not failed; `logs`: folder of the logs, which
+    plots read; None if there are none.
     """
 
     def __init__(self, outcome: Outcome, logs: Path | None = None) -> None:

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from sonoservo.diagrams.studies.following.analysis import Run, Volumes, pooled_runs
 from sonoservo.diagrams.studies.following.cases import AS_PUBLISHED
 from sonoservo.diagrams.studies.study import Outcome
-from sonoservo.diagrams.studies.study_report import StudyRow
-from sonoservo.diagrams.studies.verdicts import can_be_judged
+from sonoservo.diagrams.studies.study_report import StudyRow, can_be_judged
 from sonoservo.systems.evaluation.intervals import (
     count_interval,
     mean_interval,
@@ -44,14 +43,8 @@ class Value:
 class MethodRuns:
     """Runs of one experiment with one method.
 
-    Parameters
-    ----------
-    outcomes
-        Outcomes of all experiments.
-    name
-        Name of the experiment.
-    logs
-        Folder of the logs, if there are any.
+    `outcomes`: outcomes of all experiments; `name`: name of the experiment; `logs`: folder of the
+    logs, if there are any.
     """
 
     def __init__(self, outcomes: Sequence[Outcome], name: str, logs: Path | None = None) -> None:
@@ -142,10 +135,7 @@ class MethodRuns:
 class Comparison:
     """Runs of one experiment with both methods, and the rows made from them.
 
-    Parameters
-    ----------
-    outcomes, name, logs
-        See `MethodRuns`.
+    `outcomes`, `name`, `logs`: see `MethodRuns`.
     """
 
     def __init__(self, outcomes: Sequence[Outcome], name: str, logs: Path | None = None) -> None:

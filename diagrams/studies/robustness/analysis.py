@@ -68,12 +68,8 @@ class Figure:
 class Group:
     """Runs of one tracker in one experiment.
 
-    Parameters
-    ----------
-    outcomes
-        Outcomes of the experiment's cases in which the tracker took part.
-    tracker
-        Kind of the tracker.
+    `outcomes`: outcomes of the experiment's cases in which the tracker took part; `tracker`: kind
+    of the tracker.
     """
 
     def __init__(self, outcomes: Sequence[Outcome], tracker: str) -> None:
@@ -156,14 +152,10 @@ def chased(record: Record) -> bool:
 class Threshold:
     """Strength of a dial at which success falls under 95 %, in the dial's own unit.
 
-    Parameters
-    ----------
-    value
-        First strength studied at which less than 95 % of the runs succeed; None if there is none.
-    before
-        Last strength studied before it, or the last one of all; None if there is none.
-    plain
-        Whether 95 % of the runs succeed with every dial off. If not, no strength is a threshold.
+    `value`: first strength studied at which less than 95 % of the runs succeed; None if there is
+    none; `before`: last strength studied before it, or the last one of all; None if there is none;
+    `plain`: whether 95 % of the runs succeed with every dial off. If not, no strength is a
+    threshold.
     """
 
     value: float | None

@@ -37,14 +37,9 @@ outside the view and passes 45 mm below the probe, which is turned by 20 deg."""
 class Turned:
     """A dial at one strength.
 
-    Parameters
-    ----------
-    changes
-        Assignments that turn it in a scenario.
-    phantom
-        Name of the phantom to change; empty for the scenario's own.
-    phantom_changes
-        Fields of that phantom's file to change, by dotted path.
+    `changes`: assignments that turn it in a scenario; `phantom`: name of the phantom to change;
+    empty for the scenario's own; `phantom_changes`: fields of that phantom's file to change, by
+    dotted path.
     """
 
     changes: list[str] = field(default_factory=list)

@@ -13,14 +13,13 @@ from sonoservo.diagrams.experiments.following_scene import (
     tracker_events,
 )
 from sonoservo.diagrams.needle_tracker import MakeNeedleTracker
-from sonoservo.diagrams.seeds import draw_seeds
+from sonoservo.diagrams.scenario import draw_seeds
 from sonoservo.diagrams.studies.robustness.planned_motion import MotionPlan, PlannedMotion
 from sonoservo.diagrams.tracker_bench import MakeTrackerBench, log_of
 from sonoservo.diagrams.trackers.registry import TRACKERS
 from sonoservo.diagrams.wiring import connect_by_name
 from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.needle.hand import Hand
-from sonoservo.systems.needle.insertion import Insertion
 from sonoservo.systems.recording.volume_collector import VolumeCollector
 from sonoservo.systems.robot.errors.calibration import hand_eye_error
 from sonoservo.systems.robot.errors.pose_delay import PoseDelay
@@ -72,7 +71,9 @@ def run_open_loop(
     collector = VolumeCollector(**observer_events(scenario))
     observers: dict[str, System] = {**benches, "volume_collector": collector}
     systems: dict[str, System] = {
-        "measured_motion": _make_measured_motion(scenario, scene.insertion),
+        "measured_motion": MakeMeasuredMotion(
+            scenario=scenario, plan=MotionPlan(scenario, scene.insertion)
+        ),
         **scene.reacting({"hand": Hand(insertion=scene.insertion)}),
         **imaging_systems(scenario, scene),
         **observers,
@@ -96,14 +97,23 @@ def run_open_loop(
     return logs, collector.volumes(collector.GetMyContextFromRoot(context))
 
 
-def _make_measured_motion(scenario: FollowingScenario, insertion: Insertion) -> Diagram:
-    """Return the planned motion with the probe's measured pose: late, and calibrated wrongly."""
+def MakeMeasuredMotion(*, scenario: FollowingScenario, plan: MotionPlan) -> Diagram:
+    """Make a planned motion with the probe's measured pose: late, and calibrated wrongly.
+
+    .. pydrake_system::
+
+        name: (none)
+        output_ports:
+        - X_WP
+        - true_X_WP
+        - X_WT
+    """
     seeds, station = draw_seeds(scenario), scenario.station
     builder = DiagramBuilder()
     motion = builder.AddNamedSystem(
         "planned_motion",
         PlannedMotion(
-            plan=MotionPlan(scenario, insertion),
+            plan=plan,
             X_PC=hand_eye_error(station.calibration, seeds.station),
         ),
     )

@@ -33,12 +33,8 @@ class MotionPlan:
     rest. Then it comes over the needle's tip in 3 s, turns its image to the needle, and follows. It
     rides on the phantom as it breathes.
 
-    Parameters
-    ----------
-    scenario
-        Scenario with station, phantom and its motion.
-    insertion
-        Insertion of the needle, in a phantom at rest.
+    `scenario`: scenario with station, phantom and its motion; `insertion`: insertion of the needle,
+    in a phantom at rest.
     """
 
     scenario: FollowingScenario

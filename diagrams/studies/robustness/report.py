@@ -78,10 +78,8 @@ _TRAVEL: Sequence[tuple[str, str, Callable[[Group], Figure]]] = (
 class RobustnessStudy(Study):
     """Study of robustness, with the dials' thresholds; see `Study`.
 
-    Parameters
-    ----------
-    thresholds
-        Dial, unit, moderate strength, and threshold of each tracker in words, for each dial.
+    `thresholds`: dial, unit, moderate strength, and threshold of each tracker in words, for each
+    dial.
     """
 
     thresholds: Sequence[Mapping[str, str]] = field(default_factory=tuple)
@@ -93,8 +91,8 @@ class RobustnessStudy(Study):
         }
 
 
-def report(outcomes: Sequence[Outcome]) -> RobustnessStudy:
-    """Return the study of finished runs."""
+def report(outcomes: Sequence[Outcome], pictured: bool = False) -> RobustnessStudy:
+    """Return the study of finished runs, with its figures on request."""
     groups = group_outcomes(outcomes)
     curves = dial_curves([each for each in outcomes if _is_shared(each)])
     thresholds = dial_thresholds(curves)
@@ -104,7 +102,7 @@ def report(outcomes: Sequence[Outcome]) -> RobustnessStudy:
         title=TITLE,
         rows=[*_threshold_rows(thresholds), *rows],
         outcomes=outcomes,
-        figures=study_figures(curves, groups),
+        figures=study_figures(curves, groups) if pictured else (),
         notes=[*([_threshold_note(thresholds)] if thresholds else []), *NOTES],
         thresholds=[
             {

@@ -74,7 +74,7 @@ def reproduce(options: StudyOptions) -> Study:
         console=options.console,
     )
     with (options.console or Console(quiet=True)).status("Making the report ..."):
-        return report(outcomes)
+        return report(outcomes, pictured=True)
 
 
 def study_cases(options: StudyOptions) -> list[Case]:

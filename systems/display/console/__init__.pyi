@@ -1,15 +1,7 @@
 from .console import Console as Console
 from .console_feed import ConsoleFeed as ConsoleFeed
 from .controls import Control as Control
-from .controls import Controls as Controls
-from .controls import controller_controls as controller_controls
-from .controls import operator_controls as operator_controls
 from .operator_panel import OperatorPanel as OperatorPanel
 from .readings import Sample as Sample
-from .readings import describe_state as describe_state
-from .readings import sample_estimate as sample_estimate
 from .shape_feed import ShapeFeed as ShapeFeed
-from .slices import SlicePicture as SlicePicture
-from .slices import SliceView as SliceView
-from .slices import slice_pictures as slice_pictures
 from .slices import slice_views as slice_views

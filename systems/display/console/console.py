@@ -99,16 +99,8 @@ class Console:
     ) -> None:
         """Show a volume and the readings of its estimate soon, and return at once.
 
-        Parameters
-        ----------
-        volume
-            Volume to show.
-        estimate
-            Estimate of the needle in the volume, if a tracker has processed it.
-        number
-            Number of the volume; by default volumes are counted from 1.
-        values
-            Tip's ``error`` in mm and contact ``force`` in N, if they are known.
+        Volumes are counted from 1 unless a `number` is given; `values` are the tip's ``error`` in
+        mm and the contact ``force`` in N, if known.
         """
         without = [name for name in ("force", "error", "inserted") if name not in values]
         self.say(without=[*without, *(("probability",) if estimate is None else ())])

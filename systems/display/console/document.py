@@ -70,11 +70,10 @@ _SCRIPTS = ("console.js", "controls.js", "views.js")
 
 
 class Link:
-    """Link between a page and the console: values that either side sets and the other sees.
+    """Values that a page and the console set for each other.
 
-    `state` and `described` go to the page as JSON, `order` comes from it, and `drawn` is the number
-    of the last state that it has drawn. Each is carried by a model that draws nothing, as its tag.
-    All that changes at a time goes as one message: Bokeh spends a millisecond on each.
+    Each is the tag of a model that draws nothing; all that changes at a time goes as one message,
+    because Bokeh spends a millisecond on each.
     """
 
     def __init__(self) -> None:
@@ -97,15 +96,7 @@ class Link:
 
 
 class PageDocument:
-    """Models of one page.
-
-    Parameters
-    ----------
-    document
-        Document to fill.
-    title
-        Title of the page.
-    """
+    """Models of one page of the console, in a Bokeh document."""
 
     def __init__(self, document: Document, title: str) -> None:
         self.document = document
@@ -145,20 +136,10 @@ class PageDocument:
         anew: bool = False,
         keep: int = 1,
     ) -> None:
-        """Show a state, and what else has changed with it.
+        """Send a state, and what has changed with it.
 
-        Parameters
-        ----------
-        state
-            State for the page's script.
-        frame
-            Pictures of a volume, shown with the needle beside its echo.
-        strips
-            New samples of the strips, by column.
-        anew
-            Whether the samples replace those before.
-        keep
-            Number of samples to keep.
+        The samples of the strips come by column; `anew` if they replace those before, and `keep` of
+        them stay.
         """
         message, images = dict(state), list[NDArray[np.uint8]]()
         if frame is not None:

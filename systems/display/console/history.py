@@ -17,20 +17,10 @@ STRIPS = ("time", "x", "z", "theta", "force", "target", "error", "probability", 
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """Pictures of one volume.
+    """Pictures of one volume, with its number, time in s and tracking mode (or nothing).
 
-    Parameters
-    ----------
-    number, time
-        Number and time in s of the volume.
-    mode
-        Tracking mode after the volume; empty without a tracker.
-    pictures
-        Slices through the needle; None for one that misses the volume.
-    decibels_per_level
-        Decibels per grey level.
-    paths
-        Columns of the charts of a needle's deflection, in mm; see `ShapeFeed`.
+    A slice that misses the volume is None. `paths` are the columns of the charts of `ShapeFeed`, in
+    mm.
     """
 
     number: int
@@ -42,12 +32,9 @@ class Frame:
 
 
 class Strips:
-    """Samples of the last minute, numbered from the start so that pages can catch up.
+    """Samples of the last minute, numbered so that pages can catch up.
 
-    Attributes
-    ----------
-    end
-        Number of the next sample.
+    `end` is the number of the next one.
     """
 
     def __init__(self) -> None:

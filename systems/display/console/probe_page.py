@@ -16,12 +16,7 @@ from sonoservo.systems.signals.volume import Volume
 class ProbePage:
     """Shows volumes in the probe frame, for pages that have drawn what they were sent.
 
-    Parameters
-    ----------
-    site
-        Site of the page.
-    asked
-        Function called on the site's thread when a page is ready for the newest volume.
+    `asked` is called on the site's thread when a page is ready for the newest volume.
     """
 
     def __init__(self, site: Site, asked: Callable[[], None]) -> None:

@@ -37,13 +37,7 @@ _LENGTH = 0.02
 
 
 class ProbeView:
-    """Draws volumes in the probe frame P.
-
-    Parameters
-    ----------
-    visualizer
-        Meshcat visualizer to draw with.
-    """
+    """Draws volumes in the probe frame P with a `meshcat.Visualizer`."""
 
     def __init__(self, visualizer: Visualizer) -> None:
         self._root = visualizer["probe"]

@@ -96,18 +96,7 @@ def sample_estimate(
 ) -> Sample:
     """Return a sample with the features of an estimate, seen from the probe.
 
-    Parameters
-    ----------
-    time
-        Time of the sample, in s.
-    estimate
-        Estimate of the needle; None without a tracker.
-    X_WP
-        Pose of the probe.
-    lines
-        Lines that are followed, if the tracker tells.
-    values
-        Further fields of the `Sample`.
+    `lines` are those that are followed, if the tracker tells, and `values` further fields.
     """
     if lines:
         followed = Counter(name for name in line_classes(lines) if name != "nothing")
@@ -128,15 +117,9 @@ def sample_estimate(
 
 
 def tip_error(estimate: NeedleEstimate, tips: Sequence[tuple[float, Floats]]) -> float:
-    """Return the distance in mm of an estimated tip from the true one; NaN if either is unknown.
+    """Return the distance in mm of an estimated tip from the true one; NaN if unknown.
 
-    Parameters
-    ----------
-    estimate
-        Estimate of the needle.
-    tips
-        Recent times in s, and true positions of the tip in W, in m. They are compared at the time
-        for which the estimate holds.
+    `tips` are recent times in s and true positions in W, in m, compared at the estimate's time.
     """
     if estimate.curve is None or not tips or estimate.time < tips[0][0]:
         return _NONE
@@ -167,17 +150,9 @@ def needle_readings(sample: Sample) -> list[Reading]:
 
 
 def describe_state(sample: Sample | None) -> dict[str, str]:
-    """Return the state in words.
+    """Return the state in words: ``kind``, ``word``, ``detail`` and ``advice``.
 
-    Parameters
-    ----------
-    sample
-        Newest sample, if any.
-
-    Returns
-    -------
-    ``kind`` (stopped, or the mode, or waiting), ``word`` to show large, ``detail`` with the reason,
-    and ``advice`` on what a user can change.
+    The kind is stopped, showing, waiting or the mode; the detail is the reason.
     """
     if sample is None:
         return {"kind": "waiting", "word": "waiting", "detail": _WAITING, "advice": ""}

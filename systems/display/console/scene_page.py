@@ -38,25 +38,11 @@ _CONNECT = """
 
 
 class ScenePage:
-    """Shows a meshcat scene as a page of a site; replaces the `window` of a `Visualizer`.
+    """Shows a meshcat scene as a page of a site, in place of a `Visualizer`'s window.
 
-    The package's own server listens on every network interface and runs as a separate process,
-    which can be left behind. It makes the sender wait for each command and, for a slow page, queues
-    everything it was ever sent. This one keeps only the newest command for each object and
-    property. A page that opens, or that has drawn everything it was sent, receives only these.
-
-    Parameters
-    ----------
-    site
-        Site of the page.
-    name, title
-        Name of the page in its address, and title in the list of pages.
-    page
-        HTML of the page. ``<!-- VIEWER -->`` in it becomes meshcat's script. ``/* FEED */`` becomes
-        the script that connects the variable ``viewer``, a ``MeshCat.Viewer``, to this site.
-    asked
-        Function called on the site's thread when a page has opened, or has drawn everything it was
-        sent.
+    The package's own server listens on every interface and queues all that a slow page was ever
+    sent; this one keeps the newest command for each object and property, and sends these to a page
+    that has drawn what it had. `asked` is called on the site's thread when a page is ready.
     """
 
     def __init__(
@@ -100,7 +86,7 @@ class ScenePage:
 class _Library(Guarded, StaticFileHandler):
     """Serves meshcat's published script, which holds no secret.
 
-    A page that another site frames is shown no cookie, and has the token in its own address only.
+    A framed page has the token in its address only.
     """
 
     needs_token = False

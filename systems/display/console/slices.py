@@ -41,14 +41,8 @@ _NAMES = (
 class SliceView:
     """A slice as it appears on a screen, with coordinates to the right and down.
 
-    Parameters
-    ----------
-    plane
-        Visible part of the slice, in P; its X points right and its Y down on the screen.
-    origin
-        (3,) origin of the coordinates in the plane, in P, in m; they run along the plane's X and Y.
-    window
-        (2, 2) coordinates of the upper left and lower right corners of the area shown, in m.
+    `plane` is the visible part in P, `origin` that of the coordinates in P, and `window` the upper
+    left and lower right corners of the area shown, all in m.
     """
 
     plane: Plane
@@ -98,22 +92,11 @@ class SlicePicture:
 def slice_views(
     volume: Volume, curve: NeedleCurve | None = None, offsets: tuple[float, float] = (0.0, 0.0)
 ) -> list[SliceView | None]:
-    """Return the views of the two orthogonal planes through the needle.
+    """Return the views of the two orthogonal planes through the needle, or the probe.
 
-    See `slice_planes`. X or else Z of P runs to the right, and the depth, or else Z, runs down.
-    Coordinates are those of P seen in the plane. Along a needle that dips, zero is the point below
-    the middle of the probe, or the middle of the slice from a dip of 60 deg on. Both windows have
-    the same width and height, which depend on the size of the volume alone. A slice that misses the
-    volume is None.
-
-    Parameters
-    ----------
-    volume
-        Volume to slice.
-    curve
-        Estimated needle in W; without one, the planes are those of the probe.
-    offsets
-        Distance of each slice from the needle, or from the probe's plane, along its normal, in m.
+    X or else Z of P runs right, and the depth or else Z down. Along a needle that dips, zero is the
+    point below the middle of the probe. Both windows depend on the size of the volume alone.
+    `offsets` are distances along the normals, in m; a slice that misses the volume is None.
     """
     size = volume.upper - volume.origin
     middle = 0.5 * (volume.upper + volume.origin)
@@ -152,10 +135,9 @@ def _origin(R: Floats, centre: Floats) -> Floats:
 
 
 def _level_scale(R: Floats) -> Floats:
-    """Return the vector in P that is zero below the middle of the probe, and grows along a slice.
+    """Return the vector in P that is zero below the middle of the probe, and 1 a metre along X.
 
-    It grows by one for each metre along the slice's X. It is zero everywhere on a slice whose X
-    dips by 60 deg or more, which has no point below the middle of the probe nearby.
+    It is zero everywhere on a slice that dips by 60 deg or more, which has no such point nearby.
     """
     level = R[:, 0] * [1, 0, 1]
     return level / (level @ level) if level @ level > 0.25 else np.zeros(3)
@@ -164,16 +146,8 @@ def _level_scale(R: Floats) -> Floats:
 def kept_slice(number: int, slice_: Plane, grey: NDArray[np.uint8], needle: Floats) -> SlicePicture:
     """Return the picture of a slice that was sampled earlier, along its own X and Y.
 
-    Parameters
-    ----------
-    number
-        0 for the slice along the beam, 1 for the one across it.
-    slice_
-        Rectangle in P that the picture covers.
-    grey
-        (rows, columns) levels from 0 to 255.
-    needle
-        (m, 3) points of the estimated needle in P, in m, entry first; none without an estimate.
+    The number is 0 along the beam and 1 across it; the needle is (m, 3) points in P, in m, entry
+    first.
     """
     R, centre = _upright(slice_), slice_.X_PS.translation()
     half = 0.5 * np.array([slice_.width, slice_.height])

@@ -52,17 +52,8 @@ class _Nothing(Guarded):
 def open_bokeh_page(site: Site, *, page: str, title: str, make: Callable[[Document], None]) -> None:
     """Add a page to a site that is served by Bokeh, on the site's own thread.
 
-    The page and its WebSocket are answered only if the site's rule allows it. Bokeh's published
-    scripts, which hold no secret, are served to everybody, and from this machine alone.
-
-    Parameters
-    ----------
-    site
-        Site of the page.
-    page, title
-        Name of the page in its address, and title in the list of pages.
-    make
-        Function that fills the document of a page that opens. It is called on the site's thread.
+    `make` fills the document of a page that opens. Page and WebSocket are answered only if the
+    site's rule allows it; Bokeh's published scripts are served to everybody.
     """
     # A page that closes early is no news, and one that sends what no page does is disconnected, or
     # told so; it must not fill the terminal with tracebacks.

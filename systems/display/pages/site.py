@@ -208,10 +208,7 @@ class Site:
 class Guarded(RequestHandler):
     """Request handler that answers only what the site's rule allows.
 
-    Attributes
-    ----------
-    needs_token
-        Whether requests need the token; a published library needs none.
+    A published library needs no token.
     """
 
     needs_token = True

@@ -1,14 +1,3 @@
-from .ellipsoid import EllipsoidView as EllipsoidView
-from .ellipsoid import confidence_ellipsoid as confidence_ellipsoid
-from .film import Film as Film
-from .force_arrow import ForceArrow as ForceArrow
-from .label import Label as Label
-from .needle_view import EstimateView as EstimateView
-from .needle_view import NeedleView as NeedleView
-from .rod import Rod as Rod
-from .rod import Switch as Switch
-from .scene import facing as facing
-from .scene import set_scene as set_scene
 from .shape_view import ShapeView as ShapeView
 from .world_view import WorldView as WorldView
 from .world_view import WorldViewParameters as WorldViewParameters

@@ -13,23 +13,9 @@ from sonoservo.systems.signals.requirements import require
 def confidence_ellipsoid(
     covariance: ArrayLike, probability: float = 0.95
 ) -> tuple[RotationMatrix, NDArray[np.float64]]:
-    """Return the ellipsoid that contains a normally distributed position with a given probability.
+    """Return half axes in m, rotation and centre of an ellipsoid of confidence.
 
-    Parameters
-    ----------
-    covariance
-        (3, 3) covariance of the position, in m^2.
-    probability
-        Probability, between 0 and 1.
-
-    Returns
-    -------
-    Axes of the ellipsoid as columns, and its (3,) semi-axes in m, the shortest first.
-
-    Raises
-    ------
-    ValueError
-        If the probability is not between 0 and 1.
+    It holds a share of a normal distribution with a (3, 3) covariance in m^2.
     """
     require(0 < probability < 1, "probability", probability, "between 0 and 1")
     variances, axes = np.linalg.eigh(np.asarray(covariance, dtype=float))
@@ -40,15 +26,7 @@ def confidence_ellipsoid(
 
 
 class EllipsoidView:
-    """A translucent ellipsoid, true to scale and drawn in front of everything else.
-
-    Parameters
-    ----------
-    meshcat, path
-        Meshcat to draw in, and the path of the drawing.
-    colour
-        Colour and opacity of the ellipsoid.
-    """
+    """An ellipsoid of uncertainty in Meshcat, posed and stretched."""
 
     def __init__(self, *, meshcat: Meshcat, path: str, colour: Rgba) -> None:
         self._meshcat, self._path = meshcat, path

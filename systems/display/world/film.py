@@ -12,18 +12,8 @@ _RECENT = 16
 class Film:
     """A changing picture, shown live and in the recording.
 
-    Meshcat's recordings cannot add shapes. Each picture is therefore kept as a shape of its own,
-    hidden from the live page. The recording shows it from its own time to that of the next one.
-
-    Parameters
-    ----------
-    meshcat, path
-        Meshcat to draw in, and the path of the drawing.
-    frames
-        Maximum number of pictures kept; the last one stays until the end of the recording. At 0,
-        none is kept.
-    period
-        Minimum time between two kept pictures, in s.
+    Recordings cannot add shapes, so each kept picture is a hidden shape of its own, which the
+    recording shows from its time to the next one's. At most `frames` are kept, `period` s apart.
     """
 
     def __init__(self, *, meshcat: Meshcat, path: str, frames: int, period: float) -> None:
@@ -33,10 +23,9 @@ class Film:
         self._newest = -np.inf
 
     def show(self, gltf: str, time: float) -> None:
-        """Draw a glTF document.
+        """Draw a glTF document, which contains its own pose.
 
-        The document contains its own pose: a transform in Meshcat would also move the previous
-        picture on a slow page.
+        A transform in Meshcat would also move the previous picture on a slow page.
         """
         live = f"{self._path}/live"
         mesh = gltf_mesh(gltf)

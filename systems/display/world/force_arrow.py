@@ -16,15 +16,7 @@ _LEAST = 0.05
 
 
 class ForceArrow:
-    """An arrow whose length shows a force, 20 mm per newton, with the value beyond its tail.
-
-    Parameters
-    ----------
-    meshcat, path
-        Meshcat to draw in, and the path of the drawing.
-    R_WLabel
-        Orientation of the value: X along the text, -Y upwards.
-    """
+    """An arrow at the probe's face with the contact force in N beside it."""
 
     def __init__(self, *, meshcat: Meshcat, path: str, R_WLabel: RotationMatrix) -> None:
         self._meshcat, self._path, self._R_WLabel = meshcat, path, R_WLabel
@@ -34,19 +26,7 @@ class ForceArrow:
         self._value = Label(meshcat=meshcat, path=f"{path}/value", height=0.016)
 
     def show(self, force: float, point: ArrayLike, outward: ArrayLike, time: float) -> None:
-        """Show a force that presses on a surface.
-
-        Parameters
-        ----------
-        force
-            Magnitude of the force, in N.
-        point
-            (3,) end of the arrow on the surface, in W, in m.
-        outward
-            (3,) unit vector from the surface towards the origin of the force, in W.
-        time
-            Time in the recording, in s.
-        """
+        """Show a force in N at a point in W, along the body's outward normal, from a time on."""
         if not force > _LEAST:
             self._shaft.hide(time)
             self._value.show("", time)

@@ -11,17 +11,10 @@ from sonoservo.systems.display.world.rod import Switch
 
 
 class Label:
-    """A changing line of text on a plate.
+    """A changing line of text.
 
-    Each new text gets a plate of its own, which is shown while the text holds. The label's frame
-    has X along the text, -Y upwards and its origin at the centre of the plate.
-
-    Parameters
-    ----------
-    meshcat, path
-        Meshcat to draw in, and the path of the drawing.
-    height, width
-        Maximum height and width of a plate, in m. A text that is too wide is written smaller.
+    Each new text gets a plate of its own (X along the text, -Y up), at most as high and wide as
+    given in m, shown while the text holds.
     """
 
     def __init__(
@@ -41,14 +34,7 @@ class Label:
     ) -> None:
         """Show a text from a time on, in s; an empty one hides the label.
 
-        Parameters
-        ----------
-        text
-            Text to show.
-        time
-            Time from which the text is shown, in s.
-        colour, background
-            Red, green and blue from 0 to 1; a text keeps the colours in which it is first shown.
+        A text keeps the colours in which it is first shown.
         """
         if text == self._shown:
             return

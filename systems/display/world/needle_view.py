@@ -20,16 +20,7 @@ _RING = 6e-3
 class NeedleView:
     """A whole needle: the part in the tissue with its tip, the part outside it, and the hub.
 
-    A needle seen together with the whole arm would be too thin to be seen. It is drawn thicker.
-
-    Parameters
-    ----------
-    meshcat, path
-        Meshcat to draw in, and the path of the drawing.
-    length
-        Length of the whole needle, in m.
-    radius
-        Radius of the needle, in m.
+    It is drawn thicker than it is, to be seen beside the arm.
     """
 
     def __init__(self, *, meshcat: Meshcat, path: str, length: float, radius: float) -> None:
@@ -71,13 +62,7 @@ class NeedleView:
 class EstimateView:
     """An estimated needle in the colour of its mode, with a ring around its tip.
 
-    It is drawn over the true needle, which it would otherwise hide or be hidden by, and is hidden
-    while searching.
-
-    Parameters
-    ----------
-    meshcat, path
-        Meshcat to draw in, and the path of the drawing.
+    It is drawn over the true needle, and hidden while searching.
     """
 
     def __init__(self, *, meshcat: Meshcat, path: str) -> None:

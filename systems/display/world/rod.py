@@ -10,13 +10,7 @@ from sonoservo.systems.display.shapes import resample, segment_pose
 
 
 class Switch:
-    """Shows and hides the object at a path, live and in the recording; hidden at first.
-
-    Parameters
-    ----------
-    meshcat, path
-        Meshcat, and the path in it of the object to show or hide.
-    """
+    """Shows and hides the object at a path, live and in the recording; hidden at first."""
 
     def __init__(self, *, meshcat: Meshcat, path: str) -> None:
         self._meshcat, self._path = meshcat, path
@@ -39,20 +33,8 @@ class Switch:
 class Rod:
     """A polyline drawn as a fixed number of cylinders that are posed and stretched.
 
-    Meshcat's recordings keep transforms and properties but cannot add shapes, so nothing else may
-    change once the rod is made. A polyline of fewer pieces leaves cylinders unused; a polyline of
-    more pieces is resampled. A new rod is hidden.
-
-    Parameters
-    ----------
-    meshcat, path
-        Meshcat to draw in, and the path of the drawing.
-    radius
-        Radius of the cylinders, in m.
-    colour
-        Colour of the cylinders.
-    segments
-        Number of cylinders.
+    Meshcat's recordings keep transforms and properties but add no shapes. A longer polyline is
+    resampled. A new rod is hidden.
     """
 
     def __init__(

@@ -13,14 +13,7 @@ def set_scene(
 ) -> None:
     """Hide Meshcat's axes and grid, lighten the background and place the camera.
 
-    Parameters
-    ----------
-    meshcat
-        Meshcat to set up.
-    camera, target
-        Position of the camera, and the point at the centre of its view, in W, in m.
-    field_of_view_deg
-        Field of view from the lower edge of the view to the upper one, in deg.
+    Camera and target are in W, in m; the field of view goes from the lower edge to the upper one.
     """
     for each in ("/Axes", "/Grid"):
         meshcat.SetProperty(each, "visible", False)

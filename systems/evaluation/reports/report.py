@@ -19,14 +19,8 @@ from sonoservo.systems.files.writing import write_atomically
 class Change:
     """A field of a scenario that differs from what it is compared with.
 
-    Parameters
-    ----------
-    path
-        Dotted path of the field.
-    meaning
-        Description of the field; empty if it has none.
-    before, after
-        Both values as text; a dash where there is no such field.
+    `path`: dotted path of the field; `meaning`: description of the field; empty if it has none;
+    `before`, `after`: both values as text; a dash where there is no such field.
     """
 
     path: str
@@ -37,22 +31,11 @@ class Change:
 
 @dataclass(frozen=True, kw_only=True)
 class Story:
-    """What a report tells besides figures and plots.
+    """Content of a report besides figures and plots.
 
-    Parameters
-    ----------
-    verdict
-        Verdict on the run.
-    scenario
-        Sentences that describe the scenario.
-    base
-        What the scenario is compared with.
-    changes
-        Fields in which it differs from that.
-    command
-        Command that repeats the run.
-    links
-        Text of each link, by its relative address.
+    `verdict`: verdict on the run; `scenario`: sentences that describe the scenario; `base`: what
+    the scenario is compared with; `changes`: fields in which it differs from that; `command`:
+    command that repeats the run; `links`: text of each link, by its relative address.
     """
 
     verdict: Verdict | None = None

@@ -29,14 +29,9 @@ _INK, _QUIET, _PAPER, _NEEDLE = "#F2F2F2", "#9AA4AD", "#0E1116", "#FFB000"
 class View:
     """Positions of the pixels of a picture, and its labels.
 
-    Parameters
-    ----------
-    title, horizontal, vertical
-        Title of the picture and names of its axes.
-    p_P
-        (rows, columns, 3) positions of the pixels in P, in m.
-    columns, rows
-        Coordinates of the pixels along the horizontal and the vertical axis, in m.
+    `title`, `horizontal`, `vertical`: title of the picture and names of its axes; `p_P`: (rows,
+    columns, 3) positions of the pixels in P, in m; `columns`, `rows`: coordinates of the pixels
+    along the horizontal and the vertical axis, in m.
     """
 
     title: str

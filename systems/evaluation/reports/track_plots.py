@@ -34,16 +34,10 @@ TIP_CAPTION = "The estimated tip in the file's own coordinates, and the length o
 class PlanePicture:
     """A slice through a volume, and the needle in it.
 
-    Parameters
-    ----------
-    jpeg
-        Grey levels, coded as JPEG, because a run keeps the pictures of all its volumes.
-    X_PS
-        Pose of the picture's frame S in P: X to the right, Y down, origin at the centre.
-    extent
-        Left, right, bottom and top edges of the picture, in mm from its centre.
-    needle
-        (m, 2) points of the estimated needle in the same coordinates; none without an estimate.
+    `jpeg`: grey levels, coded as JPEG, because a run keeps the pictures of all its volumes; `X_PS`:
+    pose of the picture's frame S in P: X to the right, Y down, origin at the centre; `extent`:
+    left, right, bottom and top edges of the picture, in mm from its centre; `needle`: (m, 2) points
+    of the estimated needle in the same coordinates; none without an estimate.
     """
 
     jpeg: bytes
@@ -66,14 +60,8 @@ class PlanePicture:
 class VolumePictures:
     """The two orthogonal planes through the needle in one volume (`slice_planes`).
 
-    Parameters
-    ----------
-    time
-        Time of the volume, in s.
-    mode
-        Tracking mode after the volume.
-    planes
-        Slice along the beam, then the slice across it.
+    `time`: time of the volume, in s; `mode`: tracking mode after the volume; `planes`: slice along
+    the beam, then the slice across it.
     """
 
     time: float

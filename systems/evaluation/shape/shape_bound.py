@@ -19,17 +19,10 @@ _WIDE = 0.1
 class TrueBend:
     """True path of a needle, and what is known of all needles.
 
-    Parameters
-    ----------
-    radius, angle
-        Radius R in m and first angle theta_0 in rad.
-    rotations
-        Depths at which the bevel is turned, in m.
-    wander, wander_length
-        Standard deviation of the curvature along the path, relative to its mean, and its length in
-        m.
-    radius_std, angle_std
-        Standard deviations of R in m and of theta_0 in rad over all needles.
+    `radius`, `angle`: radius R in m and first angle theta_0 in rad; `rotations`: depths at which
+    the bevel is turned, in m; `wander`, `wander_length`: standard deviation of the curvature along
+    the path, relative to its mean, and its length in m; `radius_std`, `angle_std`: standard
+    deviations of R in m and of theta_0 in rad over all needles.
     """
 
     radius: float

@@ -44,14 +44,9 @@ LABELS = {
 class ShapeErrors:
     """Errors of a predicted shape.
 
-    Parameters
-    ----------
-    tip
-        Error |u - u^| at the last depth, in m.
-    shape
-        Area between the paths, the integral of |u - u^| over depth (eq. 8), in m^2.
-    largest
-        Largest distance between the paths perpendicular to Z, in m.
+    `tip`: error |u - u^| at the last depth, in m; `shape`: area between the paths, the integral of
+    |u - u^| over depth (eq. 8), in m^2; `largest`: largest distance between the paths perpendicular
+    to Z, in m.
     """
 
     tip: float

@@ -31,14 +31,8 @@ _HALF = 10e-3
 class SlicePicture:
     """Part of a slice around the needle.
 
-    Parameters
-    ----------
-    depth
-        Depth of the slice, in m.
-    jpeg
-        Grey levels, coded as JPEG.
-    extent
-        Left, right, bottom and top edges in the probe's frame, in mm.
+    `depth`: depth of the slice, in m; `jpeg`: grey levels, coded as JPEG; `extent`: left, right,
+    bottom and top edges in the probe's frame, in mm.
     """
 
     depth: float

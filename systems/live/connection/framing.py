@@ -69,17 +69,7 @@ class Header:
 
 @dataclass(frozen=True)
 class Frame:
-    """A whole message.
-
-    Parameters
-    ----------
-    header
-        Header of the message.
-    content
-        Its body without extended header and metadata; None if the message was skipped.
-    fault
-        Why it was skipped; empty if the type is not wanted.
-    """
+    """A whole message; its content is None if it was skipped, for a fault or its type."""
 
     header: Header
     content: memoryview | None
@@ -90,13 +80,7 @@ class Frame:
 
 
 def parse_header(data: bytes | bytearray) -> Header:
-    """Read a header. Its type may be any text: the size is all that is needed to skip a message.
-
-    Raises
-    ------
-    FramingError
-        If it cannot be one.
-    """
+    """Read a header; any type is taken, as the size is all that is needed to skip a message."""
     version, kind, device, seconds, fraction, size, crc = _HEADER.unpack(data)
     name, text = (
         each.partition(b"\0")[0].decode("utf-8", "replace").strip() for each in (kind, device)
@@ -107,22 +91,7 @@ def parse_header(data: bytes | bytearray) -> Header:
 
 
 def pack_frame(kind: str, device: str, time: float, content: bytes) -> bytes:
-    """Return a message of version 1.
-
-    Parameters
-    ----------
-    kind, device
-        At most 12 and 20 bytes.
-    time
-        Time in s, from 0 to 2^32.
-    content
-        Its body.
-
-    Raises
-    ------
-    ValueError
-        If the name is too long, or the time is out of range.
-    """
+    """Return a message of version 1; kind and device have at most 12 and 20 bytes, time is in s."""
     name = device.encode()
     if not 0 < len(name) <= 20:
         raise ValueError(f"name: {device!r} is not allowed; it must be 1 to 20 bytes long")
@@ -134,16 +103,10 @@ def pack_frame(kind: str, device: str, time: float, content: bytes) -> bytes:
 
 
 class Framer:
-    """Cuts the bytes of one connection into messages.
+    """Cuts the bytes of one connection into messages of the wanted types and sizes.
 
-    Read into `buffer`, then call `advance` with the number of bytes and the time. Memory is
-    reserved as the bytes arrive, whatever size a header announces.
-
-    Parameters
-    ----------
-    wanted
-        Most bytes of a body by type. Larger bodies, and those of other types, are skipped without
-        being stored.
+    Read into `buffer`, then call `advance`. Memory is reserved as bytes arrive, whatever a header
+    announces.
     """
 
     def __init__(self, wanted: Mapping[str, int]) -> None:
@@ -181,13 +144,7 @@ class Framer:
         return now - self._since > _HEADER_PATIENCE + self._filled / _SLOWEST
 
     def advance(self, count: int, now: float) -> Iterator[Frame]:
-        """Take in ``count`` bytes of `buffer`; yield the message that they complete, if any.
-
-        Raises
-        ------
-        FramingError
-            If the connection can no longer be understood.
-        """
+        """Take in ``count`` bytes of `buffer`; yield the message that they complete, if any."""
         if self._since is None:
             self._since = now
         if self._header is not None:

@@ -147,13 +147,7 @@ class Link:
         self.close()
 
     def start(self) -> None:
-        """Begin to listen or to connect.
-
-        Raises
-        ------
-        OSError
-            If the port is taken, or not ours to listen on.
-        """
+        """Begin to listen or to connect; an OSError if the port is taken, or not ours."""
         if self.address.listens:
             six = ":" in self.address.host
             try:
@@ -193,17 +187,10 @@ class Link:
         self._report(shown(line))
 
     def send(self, items: Sequence[Item], topic: str = "", keep: int | None = None) -> None:
-        """Send items to every peer; never waits.
+        """Send items together to every peer; never waits.
 
-        Parameters
-        ----------
-        items
-            They are sent, or dropped, together.
-        topic
-            Items of the same topic that are newer take the place of older ones in the queue of a
-            peer that is too slow; by default the first item's name.
-        keep
-            Number of them that may wait.
+        For a peer that is too slow, at most ``keep`` of a topic wait (by default that of the first
+        item's name), and newer ones take the place of older ones.
         """
         if not self._peers or not items:
             return

@@ -64,25 +64,13 @@ def make_framer() -> Framer:
 
 
 def encode(item: Item) -> bytes:
-    """Return the message for an item.
-
-    Raises
-    ------
-    ValueError
-        If its name or time cannot be sent.
-    """
+    """Return the message for an item; a ValueError if its name or time cannot be sent."""
     kind, content = _encoded(item)
     return pack_frame(kind, item.name, item.time, content)
 
 
 def decode(frame: Frame) -> list[Item]:
-    """Return what a message holds; nothing if it is of no use here.
-
-    Raises
-    ------
-    MessageError
-        If its content makes no sense.
-    """
+    """Return what a message holds, if of use; a MessageError if it makes no sense."""
     if frame.fault:
         raise MessageError(f"{frame.header.type} {frame.header.device!r}: {frame.fault}")
     if frame.content is None:

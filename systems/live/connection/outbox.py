@@ -4,15 +4,7 @@ from collections import Counter, deque
 
 
 class Outbox:
-    """Messages for a peer.
-
-    A message of which a part has been sent is always sent to its end.
-
-    Parameters
-    ----------
-    keep
-        Most messages of one topic that wait; the oldest of them make way.
-    """
+    """Messages for a peer, at most ``keep`` of a topic; one that has begun is sent to its end."""
 
     def __init__(self, keep: int = 64) -> None:
         self._keep = keep
@@ -25,17 +17,7 @@ class Outbox:
         return bool(self._under_way) or bool(self._waiting)
 
     def put(self, data: bytes, topic: str, keep: int | None = None) -> None:
-        """Add a message; several that belong together may be one.
-
-        Parameters
-        ----------
-        data
-            Message to send.
-        topic
-            Newer messages of a topic are worth more than older ones.
-        keep
-            Overrides the outbox's own limit.
-        """
+        """Add a message of a topic, of which at most ``keep`` wait."""
         self._waiting.append((topic, data))
         self._counts[topic] += 1
         while self._counts[topic] > (self._keep if keep is None else keep):

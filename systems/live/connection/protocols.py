@@ -88,6 +88,11 @@ class Address:
         """Host and port of the socket."""
         return (self.host or "127.0.0.1", self.port)
 
+    @property
+    def file_name(self) -> str:
+        """Name for files about what comes from it."""
+        return f"{self.host.replace(':', '_') or 'localhost'}_{self.port}"
+
     def __str__(self) -> str:
         host = f"[{self.host}]" if ":" in self.host else self.host
         return f"{self.scheme}://{host}:{self.port}"
@@ -99,13 +104,7 @@ def is_address(text: str) -> bool:
 
 
 def parse_address(text: str) -> Address:
-    """Read an address: ``igtl://host:18944/DEVICE``, or ``igtl://:18944`` to listen.
-
-    Raises
-    ------
-    ConfigurationError
-        If it is not an address, or its protocol is unknown.
-    """
+    """Read an address: ``igtl://host:18944/DEVICE``, or ``igtl://:18944`` to listen."""
     match = _ADDRESS.fullmatch(text)
     if match is None or int(match[3] or 0) > 65535:
         raise ConfigurationError(
@@ -119,13 +118,7 @@ def parse_address(text: str) -> Address:
 
 
 def load_protocol(scheme: str) -> LiveProtocol:
-    """Return the protocol with a scheme.
-
-    Raises
-    ------
-    ConfigurationError
-        If there is no such protocol, or a package that it needs is missing.
-    """
+    """Return the protocol with a scheme; an error if it is unknown or needs a missing package."""
     if scheme not in _PROTOCOLS:
         raise ConfigurationError(f"unknown protocol {scheme!r}; {suggest(scheme, _PROTOCOLS)}")
     return cast(LiveProtocol, import_module(_PROTOCOLS[scheme]))

@@ -51,14 +51,9 @@ class CalibrationParameters:
 
 
 def hand_eye_error(parameters: CalibrationParameters, seed: int) -> RigidTransform:
-    """Return the pose X_PC of the calibrated probe frame C in the true probe frame P.
+    """Return the pose X_PC of the calibrated probe frame in the true one.
 
-    Parameters
-    ----------
-    parameters
-        Length and angle of the error.
-    seed
-        Seed of the direction of the translation and the axis of the rotation.
+    A seed draws its direction.
     """
     rng = np.random.default_rng([seed, 1])
     along, axis = (each / np.linalg.norm(each) for each in rng.normal(size=(2, 3)))

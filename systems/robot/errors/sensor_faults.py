@@ -67,20 +67,9 @@ def faulty_sample(
     number: int,
     noise: float,
 ) -> NDArray[np.float64]:
-    """Return a sample as a fault distorts it.
+    """Return a (6,) sample, in N m and N, as a fault distorts it.
 
-    Parameters
-    ----------
-    fault
-        Fault that holds.
-    sample
-        (6,) true sample: torque in N m, then force in N.
-    held
-        (6,) last sample before the fault.
-    number
-        Number of the sample, which also seeds the noise.
-    noise
-        Standard deviation of the noise of a dead sensor, in N and N m.
+    `held` is the last one before the fault; `number` seeds the noise.
     """
     if fault.kind == "nan":
         return np.full(6, np.nan)
@@ -164,17 +153,7 @@ def add_sensor_faults(
     period: float,
     noise: float,
 ) -> OutputPort:
-    """Return the samples of a sensor as faults distort them; without faults, the port itself.
-
-    Parameters
-    ----------
-    builder
-        Builder to add to.
-    wrist_force
-        Samples of the sensor.
-    faults, period, noise
-        See `SensorFaults`.
-    """
+    """Return the samples of a sensor as faults distort them; without faults, the port itself."""
     if not faults:
         return wrist_force
     leaf = builder.AddNamedSystem(

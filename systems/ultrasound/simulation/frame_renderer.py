@@ -17,8 +17,8 @@ from sonoservo.systems.ultrasound.simulation.kernels.bright_echo import render_p
 from sonoservo.systems.ultrasound.simulation.kernels.displacement import Displacements
 from sonoservo.systems.ultrasound.simulation.kernels.echo import FADE, render_tissue
 from sonoservo.systems.ultrasound.simulation.kernels.image_formation import form_image
+from sonoservo.systems.ultrasound.simulation.kernels.layers import expand_gains
 from sonoservo.systems.ultrasound.simulation.kernels.line_blur import line_kernel
-from sonoservo.systems.ultrasound.simulation.kernels.shadows import expand_gains
 from sonoservo.systems.ultrasound.simulation.kernels.surface_echo import render_surfaces
 from sonoservo.systems.ultrasound.simulation.needles.needle_echo import NeedleEchoParameters
 from sonoservo.systems.ultrasound.simulation.needles.needle_renderer import (
@@ -166,7 +166,7 @@ class FrameRenderer:
         # With this amplitude, mean intensity 1 (0 dB) is that of the tissue at every depth.
         amplitude = np.sqrt(2**1.5 / (tissue.scatterers_per_cell * (1 - FADE / 3)))
         amplitude *= 10 ** (tissue.level_db / 20)
-        self._tissue_pulse = np.repeat(pulses.tabulate([amplitude], [0.0])[0], 2, axis=1)
+        self._tissue_pulse = np.repeat(pulses.tabulate([amplitude], [0.0])[:, ::2], 2, axis=1)
         self._point_pulse = pulses.tabulate([1.0], [0.0])
         self._scene = Scene(
             tissue,
@@ -184,7 +184,7 @@ class FrameRenderer:
         errors_db = gain_errors(parameters.gain_error_db, geometry.samples, rng)
         self._offsets = (imaging.tissue_grey + imaging.grey_per_db * errors_db).astype(np.float32)
         clutter = 10 ** (parameters.clutter_db / 20) * np.exp(-depths / parameters.clutter_length)
-        self._clutter = clutter.astype(np.float32)
+        self._clutter = np.repeat(clutter.astype(np.float32), 2)
         self._changing = np.sqrt(parameters.decorrelation) * 10 ** (tissue.level_db / 20)
         self._field = np.zeros((self.geometry.frames, 0, 0), np.complex64)
         if parameters.clutter_db > -200 or parameters.decorrelation > 0:
@@ -232,7 +232,7 @@ class FrameRenderer:
             transmission = np.ones(iq.shape, np.float32)
             if gains is not None:
                 expand_gains(transmission, gains, nodes_per_metre * self.acoustic.sample_pitch)
-            parts = (scene.pieces, scene.growth(times), rays, tables, scene.pulses, scene.taps)
+            parts = (scene.pieces, scene.growth(times), rays, tables, scene.pulses, scene.widths)
             render_surfaces(iq, transmission, X_FT, *parts, view, field, gains is not None)
         views = FrameViews(X_FT, rays, tables, view, transmission, times)
         for needle, renderer in self._resting:

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from sonoservo.systems.ultrasound.beam import Beam
 from sonoservo.systems.ultrasound.simulation.kernels.projection import FRACTIONS
+from sonoservo.systems.ultrasound.simulation.kernels.vector_addition import LANES
 
 _RING_DOWN_STEP = 0.4e-3
 _RING_DOWN_DECADES = 1.5
@@ -38,7 +39,10 @@ class PulseTables:
     def tabulate(
         self, levels: Sequence[complex], distances: Sequence[float]
     ) -> NDArray[np.float32]:
-        """Return a (2, FRACTIONS + 1, taps) pulse with echoes at given distances in m."""
+        """Return a (FRACTIONS + 1, 2 taps) pulse with echoes at given distances in m.
+
+        Real and imaginary parts alternate; the width is a multiple of `LANES`.
+        """
         pitch = self._pitch
         taps = self._taps + int(np.ceil(distances[-1] / pitch))
         fraction = np.arange(FRACTIONS + 1)[:, np.newaxis] / FRACTIONS
@@ -48,7 +52,8 @@ class PulseTables:
             behind = path - distance
             phase = -4 * np.pi * distance / self._beam.wavelength
             table += level * np.exp(1j * phase - behind**2 / (2 * self._beam.axial**2))
-        return np.stack([table.real, table.imag]).astype(np.float32)
+        table = np.pad(table, ((0, 0), (0, -taps % (LANES // 2))))
+        return table.astype(np.complex64).view(np.float32)
 
     def ring_down(
         self, level_db: float, length: float, depth: float, rng: np.random.Generator
@@ -74,9 +79,7 @@ class PulseTables:
 
 
 def stacked(tables: Sequence[NDArray[np.float32]]) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
-    """Stack pulses to (kinds, 2, FRACTIONS + 1, longest); return also their (kinds,) lengths."""
-    taps = np.array([table.shape[2] for table in tables])
-    joint = np.zeros((len(tables), *tables[0].shape[:2], taps.max()), np.float32)
-    for place, table in zip(joint, tables, strict=True):
-        place[..., : table.shape[2]] = table
-    return joint, taps
+    """Stack pulses to (kinds (FRACTIONS + 1), widest); return also their (kinds,) widths."""
+    widths = np.array([table.shape[1] for table in tables])
+    widest = widths.max()
+    return np.concatenate([np.pad(t, ((0, 0), (0, widest - t.shape[1]))) for t in tables]), widths

@@ -73,7 +73,7 @@ class Scene:
     ----------
     regions, pieces
         Regions of other scattering, and pieces of surfaces or None, for the kernels.
-    pulses, taps
+    pulses, widths
         See `render_surfaces`.
     """
 
@@ -125,7 +125,7 @@ class Scene:
                     self.pieces.pulses[number] = len(tables)
                     length = echo.ring_down_length
                     tables.append(pulses.ring_down(echo.ring_down_db, length, geometry.depth, rng))
-        self.pulses, self.taps = stacked(tables)
+        self.pulses, self.widths = stacked(tables)
 
     @property
     def varies(self) -> bool:

@@ -108,11 +108,15 @@ class Counting(LeafSystem):
         state.get_mutable_abstract_state(0).set_value(estimate)
 
 
-def test_a_tracker_of_one_s_own_takes_the_place_of_the_scenario_s():
+def test_a_tracker_of_one_s_own_takes_the_place_of_the_scenario_s(tmp_path):
     scenario = load_scenario("chatelain2013_fig5", changes=["duration=4"])
     events = tracker_events(scenario)
     tracker = Counting(**events)
-    log = run(scenario, tracker=tracker).log
+    log = run(scenario, tracker=tracker, out=tmp_path).log
+    page = (tmp_path / "report.html").read_text()
+    assert f"The tracker is {__name__}.Counting" in page
+    assert "chatelain2013;" not in page
+    assert "To repeat it" not in page
     seen = events["offset"] + events["period"] * np.arange(len(tracker.volumes))
     assert seen[-1] < 4 < seen[-1] + events["period"]
     np.testing.assert_allclose(log.volume_seen, seen, atol=1e-5)

@@ -11,8 +11,13 @@ from rich.console import Console
 
 from sonoservo.diagrams.app.terminal import study_table
 from sonoservo.diagrams.studies.study import Case, Outcome
-from sonoservo.diagrams.studies.study_report import Study, StudyFigure, StudyRow, write_study
-from sonoservo.diagrams.studies.verdicts import can_be_judged
+from sonoservo.diagrams.studies.study_report import (
+    Study,
+    StudyFigure,
+    StudyRow,
+    can_be_judged,
+    write_study,
+)
 
 
 @pytest.fixture

@@ -1,7 +1,6 @@
-"""Cases for clusters: they calculate, run an experiment, hang, or end their process or worker."""
+"""Cases for clusters: they calculate, run an experiment, hang, or end their process."""
 
 import os
-import signal
 import time
 from pathlib import Path
 
@@ -38,7 +37,7 @@ def run_experiment(case):
 
 
 def report(case):
-    """Leave the numbers of the case's process and of its worker in a file."""
+    """Leave the numbers of the worker's process and of its nanny in a file."""
     folder = Path(case.settings["folder"])
     partial = folder / f".{case.seed}_{os.getpid()}"
     partial.write_text(f"{os.getpid()} {os.getppid()}")
@@ -67,15 +66,6 @@ def end_process(case):
     report(case)
     if case.settings.get("poison"):
         os._exit(1)
-    return {}
-
-
-def end_worker(case):
-    """Kill the worker of one of the cases."""
-    report(case)
-    if case.settings.get("poison"):
-        os.kill(os.getppid(), signal.SIGKILL)
-        time.sleep(600)
     return {}
 
 

@@ -15,7 +15,7 @@ HELPERS = Path(__file__).parents[1]
 
 
 class DaskProcesses:
-    """A scheduler, and workers with one thread each; no nanny restarts them."""
+    """A scheduler, and workers with one thread and a nanny each."""
 
     def __init__(self, folder):
         self._file, self._processes = folder / "scheduler.json", []
@@ -33,13 +33,14 @@ class DaskProcesses:
 
     def add_worker(self, path=()):
         """Start a worker; folders of the path come before those of this process."""
-        return self._start("worker", "--nthreads", "1", "--no-nanny", "--no-dashboard", path=path)
+        return self._start("worker", "--nthreads", "1", "--no-dashboard", path=path)
 
     def _start(self, *command, path=()):
+        follow = "--preload-nanny" if command[0] == "worker" else "--preload"
         path = os.pathsep.join([*path, str(HELPERS), os.environ.get("PYTHONPATH", "")])
         process = subprocess.Popen(
             [sys.executable, "-m", "dask", *command, "--host", "127.0.0.1",
-             "--scheduler-file", str(self._file), "--preload", preload.__name__],
+             "--scheduler-file", str(self._file), follow, preload.__name__],
             env={**os.environ, "PYTHONPATH": path, preload.PARENT: str(os.getpid())},
             stdout=self._log, stderr=self._log, start_new_session=True,
         )  # fmt: skip

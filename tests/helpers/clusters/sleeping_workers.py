@@ -7,7 +7,6 @@ import time
 
 from distributed import Worker
 
-from sonoservo.diagrams.studies.cluster.worker import Reply
 from sonoservo.diagrams.studies.study import Finished, Outcome
 
 
@@ -15,7 +14,7 @@ def sleep(message):
     """Stand in for `run_case`, without a process for each case."""
     case = pickle.loads(message)[2]
     time.sleep(case.settings["seconds"])
-    return Reply("finished", Finished(Outcome(case, {"figures": [0.0] * 100})))
+    return Finished(Outcome(case, {"figures": [0.0] * 100}))
 
 
 def unused(case):

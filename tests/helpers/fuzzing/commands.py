@@ -39,7 +39,7 @@ _COMMANDS = {
     "explain": (["explain", "FILE"], ["--time"]),
     "dataset": (
         ["dataset", "chatelain2013_fig5", "--jobs", "1"],
-        ["--count", "--volumes", "--transducer", "--seed", "--jobs", "--set"],
+        ["--count", "--volumes", "--probe", "--seed", "--jobs", "--set"],
     ),
     "reproduce": (["reproduce"], ["--seeds", "--first-seed", "--jobs"]),
     "list": (["list"], []),

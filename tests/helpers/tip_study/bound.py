@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from scipy.special import i0e
 
 from sonoservo.systems.signals.point_spread import PointSpread
-from sonoservo.systems.signals.requirements import require, require_positive
 from sonoservo.systems.signals.sweep import SweepGeometry
 from tip_study.needle_end import (
     INTERVAL,
@@ -161,14 +160,7 @@ def tip_error_bound(
     volumes, particles, seed
         Number of volumes, of particles that integrate out the phases, and the seed of both. The
         particles suffice if the mean squared error is that of the variances.
-
-    Raises
-    ------
-    ValueError
-        If a number is not positive, or the tip is outside the sector.
     """
-    require_positive(depth=depth, volumes=volumes, particles=particles)
-    require(-90 < dip_deg < 90, "dip_deg", dip_deg, "above -90, below 90 deg")
     rng = np.random.default_rng(seed)
     dip = np.deg2rad(dip_deg)
     direction = np.array([np.cos(dip), np.sin(dip), 0.0])

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from sonoservo.systems.signals.blur import blur_covariance
 from sonoservo.systems.signals.point_spread import PointSpread
-from sonoservo.systems.signals.requirements import require, require_positive
+from sonoservo.systems.signals.requirements import require
 from sonoservo.systems.signals.sweep import SweepGeometry
 
 Floats = NDArray[np.float64]
@@ -46,11 +46,6 @@ class NeedleEnd:
         them in m; None for a solid needle.
     wavelength
         Wavelength in m, which turns paths into phases.
-
-    Raises
-    ------
-    ValueError
-        If a length is negative, or an echo inside the needle is louder than the one before it.
     """
 
     shaft_db: float = 20.0
@@ -61,15 +56,6 @@ class NeedleEnd:
     reverberation_db: float | None = None
     reverberation_distance: float = 0.9e-3
     wavelength: float = 0.467e-3
-
-    def __post_init__(self) -> None:
-        require(self.bevel_length >= 0, "bevel_length", self.bevel_length, "at least 0 m")
-        require_positive(
-            reverberation_distance=self.reverberation_distance, wavelength=self.wavelength
-        )
-        if self.reverberation_db is not None:
-            level = self.reverberation_db
-            require(level <= -3, "reverberation_db", level, "at most -3 dB")
 
     def echoes(self) -> list[tuple[complex, float]]:
         """Return the amplitude of each echo and its distance behind the first one, in m."""

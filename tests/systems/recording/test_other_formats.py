@@ -4,6 +4,8 @@ import csv
 import sys
 
 import h5py
+import nibabel
+import nrrd
 import numpy as np
 import pydicom
 import pytest
@@ -14,6 +16,7 @@ from pydrake.math import RigidTransform, RollPitchYaw
 from synthetic_volumes import Scene
 from tracked_frames import freehand
 
+from sonoservo.diagrams.app.options import Reading
 from sonoservo.diagrams.app.volumes.check import check_file
 from sonoservo.diagrams.app.volumes.opening import open_volumes
 from sonoservo.systems.files.refusals import ConfigurationError
@@ -102,8 +105,8 @@ def test_a_folder_of_png_with_a_table_of_poses(tmp_path, frames, mode):
             Image.fromarray(np.asarray(Image.open(path)).astype(np.uint16)).save(path)
     read = TrackedFrames(folder, transforms={"ImageToProbe": CALIBRATION})
     assert_same_frames(read, frames)
-    assert not [f for f in check_file(folder, calibration=" ".join(map(str, CALIBRATION.ravel()))
-                                      ).findings if "cannot be read" in f.text]  # fmt: skip
+    reading = Reading(calibration=" ".join(map(str, CALIBRATION.ravel())))
+    assert not [f for f in check_file(folder, reading).findings if "cannot be read" in f.text]
 
 
 def test_a_row_that_is_missing_costs_its_frame(tmp_path, frames):
@@ -244,6 +247,35 @@ def test_files_of_zea_without_images_are_refused(tmp_path):
         file["other"] = 1
     with pytest.raises(ConfigurationError, match=r"TUS-REC.*zea"):
         Recording(path)
+
+
+@pytest.mark.parametrize("name", ["a.nii", "a.nii.gz"])
+def test_nifti_gives_the_volumes_that_nrrd_gives(tmp_path, name):
+    rng = np.random.default_rng(100)
+    numbers = rng.integers(0, 256, (20, 22, 24, 3)).astype(np.uint8)
+    lps = np.array([[0.0, 0.7, 0.0], [-0.8, 0.0, 0.0], [0.0, 0.0, 0.9]])  # axes as columns
+    header = {
+        "space": "left-posterior-superior",
+        "space directions": np.vstack([lps.T, np.full((1, 3), np.nan)]),
+        "space origin": [10.0, -20.0, 30.0],
+    }
+    nrrd.write(str(tmp_path / "a.nrrd"), numbers, header)
+    affine = np.eye(4)
+    affine[:3, :3], affine[:3, 3] = lps, [10.0, -20.0, 30.0]
+    image = nibabel.Nifti1Image(numbers, np.diag([-1.0, -1.0, 1.0, 1.0]) @ affine)
+    image.header.set_xyzt_units("mm", "sec")
+    image.header["pixdim"][4] = 0.25
+    nibabel.save(image, tmp_path / name)
+    read, wanted = Recording(tmp_path / name), Recording(tmp_path / "a.nrrd", volume_rate=4.0)
+    np.testing.assert_array_equal(read.times, [0.0, 0.25, 0.5])
+    for number in range(3):
+        np.testing.assert_array_equal(read[number].intensities, wanted[number].intensities)
+        np.testing.assert_allclose(read[number].spacing, wanted[number].spacing, rtol=1e-6)
+        np.testing.assert_allclose(read[number].origin, wanted[number].origin, atol=1e-8)
+        assert read.X_WL(number).IsNearlyEqualTo(wanted.X_WL(number), 1e-6)
+    (tmp_path / name).write_bytes((tmp_path / name).read_bytes()[:300])
+    with pytest.raises(ConfigurationError, match="a.nii"):
+        Recording(tmp_path / name)
 
 
 def test_a_missing_package_is_named_with_its_extra(tmp_path, monkeypatch):

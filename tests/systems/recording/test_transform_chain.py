@@ -8,6 +8,7 @@ from pydrake.math import RigidTransform, RollPitchYaw
 from recordings import write_meta_image
 from tracked_frames import freehand, write_plus_file
 
+from sonoservo.diagrams.app.options import ReadingFrames
 from sonoservo.diagrams.app.volumes.opening import open_volumes
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.recording.plus_configuration import (
@@ -159,7 +160,7 @@ def test_a_configuration_of_plus_completes_a_file(tmp_path, tracked):
     config.write_text(CONFIGURATION.replace("MATRIX", text(calibration)))
     known = read_plus_configuration(config)
     assert (known.orientation, round(known.time_offset, 6)) == ("UF", -0.3)
-    opened = open_volumes(path, reconstruct=True, plus_config=config)
+    opened = open_volumes(path, ReadingFrames(reconstruct=True, plus_config=config))
     shift = np.eye(4)
     shift[:2, 3] = 4, 3
     np.testing.assert_allclose(opened._frames.X_WI[3], frames[3].X_WI @ shift, atol=1e-9)
@@ -169,11 +170,11 @@ def test_a_configuration_of_plus_completes_a_file(tmp_path, tracked):
     # The file states its own orientation; one that does not has that of the configuration.
     np.testing.assert_array_equal(opened._frames[0], frames[0].pixels[4:34, 3:43])
     path.write_bytes(path.read_bytes().replace(b"UltrasoundImageOrientation = MF\n", b""))
-    turned = open_volumes(path, reconstruct=True, plus_config=config)
+    turned = open_volumes(path, ReadingFrames(reconstruct=True, plus_config=config))
     np.testing.assert_array_equal(turned._frames[0], frames[0].pixels[::-1][4:34, 3:43])
     config.write_text(config.read_text().replace('"30 40"', '"300 40"'))
     with pytest.raises(ConfigurationError, match="reaches beyond the frames of 40 x 50"):
-        open_volumes(path, reconstruct=True, plus_config=config)
+        open_volumes(path, ReadingFrames(reconstruct=True, plus_config=config))
 
 
 @pytest.mark.parametrize(

@@ -1,11 +1,13 @@
 import copy
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
 from pydrake.common.value import Value
+from pydrake.math import RigidTransform
 from pydrake.systems.framework import LeafSystem
 
-from sonoservo.systems.signals.immutable import NotFound, read_only, seal
+from sonoservo.systems.signals.immutable import Immutable, NotFound, read_only, seal
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.ports import evaluate
 from sonoservo.systems.signals.requirements import require_positive
@@ -87,7 +89,7 @@ def test_a_wrong_value_on_a_wire_is_caught_where_it_enters():
         def __init__(self):
             super().__init__()
             self.set_name("reader")
-            self.DeclareAbstractInputPort("curve", Value[object](None))
+            self.DeclareAbstractInputPort("curve", Value[object]())
 
     reader = Reader()
     context = reader.CreateDefaultContext()
@@ -103,3 +105,14 @@ def test_volumes_are_kept_in_the_order_that_compiled_code_takes():
     turned = np.zeros((4, 5, 6), order="F")
     assert read_only(turned, "turned", (None, None, None)).flags.c_contiguous
     assert read_only(turned[0].T, "flat", (None, None)).shape == (6, 5)
+
+
+def test_a_value_says_what_it_is_in_one_line():
+    @dataclass(frozen=True, eq=False)
+    class Value(Immutable):
+        grid: np.ndarray
+        X: RigidTransform
+        place: np.ndarray
+
+    text = repr(Value(np.zeros((30, 40)), RigidTransform([0.1, 0, 0]), np.array([1.0, 2.0])))
+    assert text == "Value(grid=<30 x 40 float64>, X=<pose at [0.1, 0.0, 0.0]>, place=[1., 2.])"

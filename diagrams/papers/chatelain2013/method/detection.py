@@ -22,17 +22,16 @@ class PublishedDetectionParameters:
     candidate_volume
         Total volume of the candidate voxels, which fixes their number ``|X|``, in m^3. The paper
         chooses the number that best separates the variance of a motionless volume from that of a
-        volume with a moving needle. That was done here with fig. 5 on seeds from 100 on.
+        volume with a moving needle. So it was here, with figs. 4 and 5 on seeds from 100 on.
     max_std
         Square root of the variance threshold tau, in m. The variance is the trace of the
-        candidates' covariance. The value lies between the 24 mm and less of a moving needle and the
-        32 mm and more of motionless volumes, chosen in the same way between sweeps of one
-        direction.
+        candidates' covariance. Between sweeps of one direction, half the volumes with a moving
+        needle are below 24 mm, and no motionless one is below 34 mm.
     max_depth
         Largest distance delta from the geometric median to the candidate entry point, in m.
     """
 
-    candidate_volume: float = 30e-9
+    candidate_volume: float = 5e-9
     max_std: float = 27e-3
     max_depth: float = 10e-3
 
@@ -47,26 +46,19 @@ def detect_as_published(
     previous: Volume,
     parameters: PublishedDetectionParameters,
 ) -> InsertionDetection | NotFound:
-    """Detect an insertion exactly as Chatelain 2013, section II-B describes it.
+    """Detect an insertion as Chatelain 2013, section II-B describes it, or say why there is none.
 
     Eq. 1 gives the voxels whose absolute difference is at least T_t, the order statistic that fixes
     their number. Their variance must be below tau. The geometric median (eq. 2) is projected on the
-    closest face of the volume's boundary. The entry point counts if it is closer than delta.
-
-    Parameters
-    ----------
-    volume, previous
-        Consecutive volumes on the same grid.
-    parameters
-        Thresholds.
-
-    Returns
-    -------
-    The detection in W, or a `NotFound` with the reason why there is none. The tip of the detection
-    is the median, as the paper does not estimate one.
+    closest face of the volume's boundary. The entry point counts if it is closer than delta. The
+    tip of the detection is the median, as the paper does not estimate one. Volumes between which
+    the probe moved by more than a voxel are not compared, as the paper's difference holds for a
+    static probe only; ours lands on the phantom first.
     """
     if volume.intensities.shape != previous.intensities.shape:
         return NotFound("the previous volume lies on another grid")
+    if _moved(volume, previous) > float(volume.spacing.max()):
+        return NotFound("the probe moved between the volumes")
     count = max(4, round(parameters.candidate_volume / float(np.prod(volume.spacing))))
     # Sweeps to and fro see slightly unlike sectors; only voxels that both show are compared.
     seen = volume.seen, previous.seen
@@ -85,3 +77,11 @@ def detect_as_published(
     p_W, _ = volume.at_once().to_world(np.stack([entry, median]))
     change = threshold * volume.decibels_per_level
     return InsertionDetection(p_W[0], p_W[1], p_W[1], std, change, volume.time)
+
+
+def _moved(volume: Volume, previous: Volume) -> float:
+    """Return the farthest that a corner of the volume's grid moved with the probe, in m."""
+    corners = np.stack(np.meshgrid(*zip(volume.origin, volume.upper, strict=True)), axis=-1)
+    p_P = corners.reshape(-1, 3).T
+    apart = volume.X_WP.multiply(p_P) - previous.X_WP.multiply(p_P)
+    return float(np.linalg.norm(apart, axis=0).max())

@@ -7,10 +7,7 @@ from sonoservo.systems.signals.volume import Volume
 
 
 def closest_face(volume: Volume, p_P: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Project a position, (3,) in P, in m, on the closest of the six faces of the field of view.
-
-    If the volume knows its sweep, they are those of the swept sector; if not, of what was seen.
-    """
+    """Project a position, (3,) in P, in m, on the closest of the six faces of the field of view."""
     faces = _faces(volume, p_P)
     return np.asarray(faces[np.argmin(np.linalg.norm(faces - p_P, axis=1))])
 

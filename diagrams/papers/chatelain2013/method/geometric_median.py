@@ -7,29 +7,10 @@ from numpy.typing import ArrayLike, NDArray
 def geometric_median(
     points: ArrayLike, *, tolerance: float = 1e-7, max_trials: int = 200
 ) -> NDArray[np.float64]:
-    """Return the geometric median of points, a robust centre (Chatelain 2013, eq. 2).
+    """Return the (d,) geometric median of (m, d) points (Chatelain 2013, eq. 2).
 
-    The algorithm is Weiszfeld's iteratively re-weighted least squares, started at the arithmetic
-    mean. If an iterate coincides with points of the set, their weight would be infinite. The step
-    of Vardi and Zhang (PNAS 97, 2000) then leaves them unless they are the median.
-
-    Parameters
-    ----------
-    points
-        (m, d) points, at least one.
-    tolerance
-        Length of a step below which the iteration stops, in the points' unit.
-    max_trials
-        Largest number of steps.
-
-    Returns
-    -------
-    (d,) geometric median, in the points' unit.
-
-    Raises
-    ------
-    ValueError
-        If the points are not an (m, d) array with m > 0.
+    Weiszfeld's iteration starts at their mean and steps beyond a point that it hits (Vardi and
+    Zhang 2000). No point raises ValueError.
     """
     points = np.asarray(points, dtype=float)
     if points.ndim != 2 or len(points) == 0:

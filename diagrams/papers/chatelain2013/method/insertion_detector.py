@@ -14,7 +14,7 @@ from sonoservo.systems.signals.volume import Volume
 
 
 class InsertionDetector(LeafSystem):
-    """Detects a needle's insertion from the difference of two volumes.
+    """Detects a needle's insertion from the difference of two volumes; see `detect_as_published`.
 
     .. pydrake_system::
 
@@ -25,15 +25,7 @@ class InsertionDetector(LeafSystem):
         output_ports:
         - detection
 
-    The system has no state. The variance of the voxels that changed most (Chatelain 2013, eq. 1)
-    distinguishes a local motion from a global one. Their geometric median (eq. 2), projected on the
-    closest face of the volume, gives the entry point. The output is an `InsertionDetection`, or a
-    `NotFound` with the reason why there is none.
-
-    Parameters
-    ----------
-    parameters
-        Thresholds of the method, in SI units.
+    The system has no state. The output is an `InsertionDetection`, or a `NotFound` with the reason.
     """
 
     def __init__(self, *, parameters: PublishedDetectionParameters | None = None) -> None:

@@ -7,23 +7,10 @@ from numpy.typing import NDArray
 def intensity_drops(
     bright: NDArray[np.float64], middle: float, max_gap: float
 ) -> tuple[float, float]:
-    """Return the ends of the bright stretch around a point of an axis; small gaps do not end it.
+    """Return the ends of the bright stretch around ``middle``; no gap up to ``max_gap`` ends it.
 
-    Chatelain 2013, end of section II-D, and Zhao 2012, section 2.1.2.
-
-    Parameters
-    ----------
-    bright
-        (m,) abscissae of the samples that are as bright as the needle, in m.
-    middle
-        Abscissa of a point on the needle, in m.
-    max_gap
-        Largest gap that does not end the needle, in m.
-
-    Returns
-    -------
-    start, tip
-        Abscissae of the first and last bright sample, in m.
+    ``bright`` holds the ascending abscissae of the bright samples of a profile. All lengths are in
+    m.
     """
     start, tip = (_end(bright, middle, side, max_gap) for side in (-1, 1))
     return start, tip

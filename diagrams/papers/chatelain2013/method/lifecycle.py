@@ -80,17 +80,7 @@ class PublishedLifecycle:
         X_WP: RigidTransform,
         lines: LineHypotheses | NotFound = _NO_LINES,
     ) -> NeedlePrediction | NotFound:
-        """Return the prediction for a volume (eqs. 10, 11), or the entry around which to look.
-
-        Parameters
-        ----------
-        track
-            Track after the previous volume.
-        time, X_WP
-            Time of the volume in s, and pose of the probe.
-        lines
-            Not used: the paper follows no other lines.
-        """
+        """Return the prediction for a volume (eqs. 10, 11), or the entry around which to look."""
         state = track.seen_from(X_WP).state
         if state is None:
             return NotFound("no needle has been detected")

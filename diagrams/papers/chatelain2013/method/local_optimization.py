@@ -17,8 +17,7 @@ _TOLERANCE = 5e-6
 def principal_axis(control_points: NDArray[np.float64]) -> Axis | NotFound:
     """Return the curve through (n, 3) control points over the line fitted to them (Chatelain 2013).
 
-    Fig. 1 and eq. 18: the principal direction k_0 is that of a straight line fitted to the control
-    points, and the abscissa is measured from the first of them.
+    Fig. 1 and eq. 18: k_0 is the direction of that line; abscissae count from the first point.
     """
     centred = control_points - control_points.mean(axis=0)
     k = np.linalg.svd(centred)[2][0]
@@ -41,26 +40,11 @@ def relative_sagitta(control_points: NDArray[np.float64]) -> float:
 def optimize_locally(
     points: NDArray[np.float64], axis: Axis, *, max_bend: float, max_trials: int = 600
 ) -> Axis:
-    """Optimize a bent axis on its inliers without derivatives (Chatelain 2013; Uhercik 2010).
+    """Optimize a bent axis of order 3 on its (m, 3) inliers, in m, without derivatives.
 
-    The variables are the coordinates of three control points, the cost is the mean approximate
-    distance of eq. 18. Curves beyond the curvature limit are not admitted, as in the sampling. The
-    paper does not say which norm of the distances is minimised; this is the mean of eq. 17 itself.
-
-    Parameters
-    ----------
-    points
-        (m, 3) inliers of the consensus, in m.
-    axis
-        Winning axis of order 3.
-    max_bend
-        Largest ratio of sagitta to chord.
-    max_trials
-        Largest number of evaluations.
-
-    Returns
-    -------
-    The optimized axis, or the given one if no better one was found.
+    The method of Nelder and Mead minimizes the mean distance from the inliers (Chatelain 2013,
+    section II-D) over axes whose ratio of sagitta to chord is at most ``max_bend``. The given axis
+    is returned if no better one was found.
     """
     a = axis.abscissa(points)
     start = axis.position(np.linspace(a.min(), a.max(), 3))

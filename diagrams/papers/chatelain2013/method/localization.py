@@ -66,7 +66,7 @@ class PublishedLocalizationParameters:
         contrast, the drop at which the needle ends.
     """
 
-    candidate_volume: float = 120e-9
+    candidate_volume: float = 400e-9
     margin: float = 10e-3
     first_margin: float = 20e-3
     max_angle_deg: float = 35.0
@@ -94,21 +94,10 @@ def explain_published_localization(
     parameters: PublishedLocalizationParameters,
     rng: np.random.Generator,
 ) -> LocalizationExplanation:
-    """Localize the needle exactly as Chatelain 2013, section II-D describes it.
+    """Localize the needle as in Chatelain 2013, section II-D; the volume counts as at once.
 
     A prediction without an entry stands for a detected insertion: its curve runs from the candidate
     entry point to the geometric median, and neither direction nor length of the needle are known.
-
-    Parameters
-    ----------
-    volume
-        Volume to search. All of it counts as acquired at once.
-    prediction
-        Prediction around which to search, or the reason why there is none.
-    parameters
-        Region, thresholds and noise.
-    rng
-        Generator that draws the samples.
     """
     if isinstance(prediction, NotFound):
         return LocalizationExplanation(volume.time, prediction, (), prediction)
@@ -205,10 +194,9 @@ def _ends(
     parameters: PublishedLocalizationParameters,
     looked: dict[str, Any],
 ) -> NDArray[np.float64]:
-    """Return (2,) abscissae of start and tip: where the intensity along the axis drops.
+    """Return (2,) abscissae of start and tip, where the intensity along the axis drops.
 
-    The paper names no threshold. Here it is as far above the median of the surroundings as the end
-    contrast of our own method.
+    The paper names no threshold: the end contrast above the median of the surroundings.
     """
     reach = np.sort(axis.abscissa(region.curve.control_points[[0, -1]]))
     start = min(reach[0] - region.before, inliers.min())

@@ -98,31 +98,10 @@ def add_published_parts(
     period: float,
     offset: float,
 ) -> TrackManager:
-    """Add and connect the parts of a tracker as published, and export its ports.
+    """Add and connect the parts of a tracker as published, export its ports, return its manager.
 
     Detection and the life of a track are those of Chatelain 2013: consecutive sweeps of one
     direction are compared, and a lost needle is not looked for.
-
-    Parameters
-    ----------
-    builder
-        Builder to add to.
-    parameters
-        Parameters of any tracker.
-    detection
-        Thresholds of the detection.
-    needle_filter
-        Filter of the track manager.
-    localizer
-        Localizer with the published method.
-    min_length
-        Smallest length of a needle, in m.
-    period, offset
-        See `MakeNeedleTracker`.
-
-    Returns
-    -------
-    The track manager, for further connections.
     """
     events: dict[str, Any] = {"period": period, "offset": offset}
     lifecycle = PublishedLifecycle(

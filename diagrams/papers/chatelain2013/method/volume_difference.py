@@ -46,23 +46,10 @@ def top_differences(
 ) -> tuple[NDArray[np.int64], float]:
     """Find the voxels with the largest absolute difference (Chatelain 2013, eq. 1).
 
-    The threshold is the order statistic that leaves ``count`` voxels. Differences of 8-bit values
-    have many ties at the threshold. A subset of them is taken that is scattered over the volume.
-
-    Parameters
-    ----------
-    current, previous
-        (nx, ny, nz) intensities of the same type.
-    count
-        Wanted number of voxels; fewer are returned only if fewer changed at all.
-    seen
-        Flags of the voxels seen in either volume; those that both show are compared. None compares
-        all.
-
-    Returns
-    -------
-    index, threshold
-        (m, 3) indices of the voxels, and the smallest difference among them (0 if nothing changed).
+    The threshold is the order statistic that leaves ``count`` voxels; of those that equal it, a
+    subset scattered over the volume is taken. Only voxels that both volumes show (``seen``) are
+    compared. Returns their (m, 3) indices and the smallest difference among them, 0 if nothing
+    changed.
     """
     seen_now, seen_before = seen or (_ALL, _ALL)
     index, change = _changes(current, previous, seen_now, seen_before, seen is not None)

@@ -73,15 +73,7 @@ class WholeVolumeLocalizationParameters(WholeVolumeRansacParameters):
 
 @dataclass(frozen=True, eq=False)
 class WholeVolumeNeedle:
-    """A straight needle in W.
-
-    Parameters
-    ----------
-    fit
-        Fit of the needle's axis.
-    start, tip
-        Abscissae between which the needle is seen, in m.
-    """
+    """A straight needle in W: fit of its axis, and abscissae between which it is seen, in m."""
 
     fit: AxisFit
     start: float
@@ -90,14 +82,8 @@ class WholeVolumeNeedle:
     def measurement(self, time: float, std: float, independent: float) -> NeedleMeasurement:
         """Return the measurement with which a track can start.
 
-        Parameters
-        ----------
-        time
-            Time at which the tip was acquired, in s.
-        std
-            Standard deviation of both ends in every direction, in addition to the fit's, in m.
-        independent
-            Number of independent observations to which the voxels amount.
+        Its covariance is the fit's with a number of ``independent`` voxels, and ``std`` in m of
+        both ends.
         """
         ends = np.array([self.start, self.tip])
         covariance = self.fit.covariance(ends, independent) + std**2 * np.eye(6)
@@ -128,22 +114,8 @@ def localize_in_whole_volume(
 
     Thresholding leaves the brightest voxels. The axis is the line through two of them that has the
     most others nearby, optimized on those. The tip is the point at which the intensity along the
-    axis decreases and does not increase again within a tolerated gap.
-
-    Parameters
-    ----------
-    volume
-        Volume to search.
-    towards
-        (3,) direction in W that the needle roughly points in; its tip is the end farther that way.
-    parameters
-        Thresholds.
-    rng
-        Generator that draws the samples.
-
-    Returns
-    -------
-    The needle, or a `NotFound` with the reason why there is none.
+    axis decreases and does not increase again within a tolerated gap. ``towards`` is the (3,)
+    direction in W that the needle roughly points in.
     """
     if volume.intensities.min() == volume.intensities.max():
         return NotFound("the volume is constant")
@@ -184,21 +156,9 @@ def explain_whole_volume_localization(
     parameters: WholeVolumeLocalizationParameters,
     rng: np.random.Generator,
 ) -> LocalizationExplanation:
-    """Localize the needle in a whole volume, whatever was predicted.
+    """Localize the needle by `localize_in_whole_volume`, whatever was predicted.
 
-    The method is that of `localize_in_whole_volume`.
-
-    Parameters
-    ----------
-    volume
-        Volume to search. All of it counts as acquired at once.
-    prediction
-        Prediction, of which only the direction tells the tip from the rear end; or the reason why
-        there is none.
-    parameters
-        Thresholds and noise.
-    rng
-        Generator that draws the samples.
+    Of the prediction, only the direction counts: it tells the tip from the rear end.
     """
     if isinstance(prediction, NotFound):
         return LocalizationExplanation(volume.time, prediction, (), prediction)

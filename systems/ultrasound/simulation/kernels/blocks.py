@@ -59,6 +59,24 @@ def count_below(ranks, start, end, limit):  # type: ignore[no-untyped-def]
 
 
 @njit(**OPTIONS)
+def keep_between(chosen, count, xs, ys, zs, low, high):  # type: ignore[no-untyped-def]
+    """Remove the chosen scatterers that lie outside a box; return the number left."""
+    left = 0
+    for number in range(count):
+        i = chosen[number]
+        chosen[left] = i
+        left += (
+            (xs[i] > low[0])
+            & (xs[i] < high[0])
+            & (ys[i] > low[1])
+            & (ys[i] < high[1])
+            & (zs[i] > low[2])
+            & (zs[i] < high[2])
+        )
+    return left
+
+
+@njit(**OPTIONS)
 def misses(x, y, z, slack, aside, reach, share, twist_per_radian, rays):  # type: ignore[no-untyped-def]
     """Return True if no point near a point in F can be in the frame's beam.
 

@@ -8,6 +8,7 @@ from sonoservo.systems.ultrasound.simulation.kernels.displacement import (
     displace,
     frame_field,
 )
+from sonoservo.systems.ultrasound.simulation.kernels.layers import add_layer, empty_layer, touch
 from sonoservo.systems.ultrasound.simulation.kernels.medium import look_up
 from sonoservo.systems.ultrasound.simulation.kernels.projection import (
     FRACTIONS,
@@ -15,6 +16,7 @@ from sonoservo.systems.ultrasound.simulation.kernels.projection import (
     phasor,
     transformed,
 )
+from sonoservo.systems.ultrasound.simulation.kernels.vector_addition import add_pulse
 
 SIDE_LOBE_WIDTH = 3
 """Ratio of the width of the side lobes, a second Gaussian, to that of the main lobe."""
@@ -37,31 +39,27 @@ _MAIN_REACH = 4.5
 
 @njit(**OPTIONS)
 def add_point(  # type: ignore[no-untyped-def]
-    layer, shadow, x, y, z, closer, real, imaginary, shadow_strength, rays, tables, pulse
+    layer, x, y, z, closer, real, imaginary, shadow, rays, tables, pulse
 ):
     """Add the echo of one bright point in F; return True if the frame sees it.
 
     Parameters
     ----------
     layer
-        (2, lines, samples + 2 taps) float32 real and imaginary parts, added to.
-    shadow
-        (lines, samples) float32 greatest loss that begins at each sample; (0, 0) for no shadow.
+        `Layer`, added to; of losses that begin at a sample, it keeps the greatest.
     x, y, z, closer
         Position in F, and the distance by which the reflecting surface is closer, in m.
     real, imaginary
         Amplitude of the point.
-    shadow_strength
+    shadow
         Loss in the middle of the beam.
     rays, tables
         Quantities of the frame's lines and of each depth.
     pulse
-        (2, FRACTIONS + 1, taps) float32 real and imaginary parts; it begins ``rays.lead`` samples
-        before the echo.
+        (FRACTIONS + 1, 2 taps) float32; it begins ``rays.lead`` samples before the echo.
     """
-    lines = layer.shape[1]
-    taps = pulse.shape[2]
-    samples = layer.shape[2] - 2 * taps
+    lines, samples = layer.loss.shape
+    taps = pulse.shape[1] // 2
     line, e, r = line_coordinates(x, y, z, rays)
     depth = r - rays.array_radius
     at = np.int64(depth * rays.samples_per_metre + 0.5)
@@ -96,12 +94,10 @@ def add_point(  # type: ignore[no-untyped-def]
         side = np.float32(near * wide + far * narrow)
         a = main * re - side * im
         b = main * im + side * re
-        for tap in range(taps):
-            layer[0, j, start + tap] += a * pulse[0, fraction, tap] - b * pulse[1, fraction, tap]
-        for tap in range(taps):
-            layer[1, j, start + tap] += a * pulse[1, fraction, tap] + b * pulse[0, fraction, tap]
-        if shadow.size > 0:
-            shadow[j, k] = max(shadow[j, k], np.float32(shadow_strength) * main)
+        add_pulse(layer.echoes, j, start, pulse, fraction, 2 * taps, a, b)
+        touch(layer, j, start, start + taps)
+        if shadow > 0:
+            layer.loss[j, k] = max(layer.loss[j, k], np.float32(shadow) * main)
     return first <= last
 
 
@@ -135,12 +131,11 @@ def render_points(  # type: ignore[no-untyped-def]
         Displacements of the tissue, or `NO_DISPLACEMENTS`.
     """
     frames, lines, samples = iq.shape
-    taps = pulse.shape[2]
+    taps = pulse.shape[1] // 2
     bends, deforms = len(view.table) > 0, len(fields.counts) > 0
     slab = seen_within(samples, rays, tables) + view.furthest + fields.deepest + fields.widest_push
+    layer = empty_layer(lines, samples, taps)
     for frame in range(frames):
-        layer = np.zeros((2, lines, samples + 2 * taps), np.float32)
-        no_shadow = np.empty((0, 0), np.float32)
         node = np.empty(15)
         F = np.empty((3, 3))
         field = frame_field(fields, frame)
@@ -156,14 +151,6 @@ def render_points(  # type: ignore[no-untyped-def]
                 x, y, z = look_up(x, y, z, view, frame, node)
             re = amplitudes[i].real
             im = amplitudes[i].imag
-            seen |= add_point(layer, no_shadow, x, y, z, 0.0, re, im, 0.0, rays, tables, pulse)
+            seen |= add_point(layer, x, y, z, 0.0, re, im, 0.0, rays, tables, pulse)
         if seen:
-            add_layer(iq[frame], layer, taps)
-
-
-@njit(**OPTIONS)
-def add_layer(iq, layer, taps):  # type: ignore[no-untyped-def]
-    """Add a layer of bright points to a frame's (lines, samples) complex64 echoes."""
-    for j in range(iq.shape[0]):
-        for i in range(iq.shape[1]):
-            iq[j, i] += complex(layer[0, j, i + taps], layer[1, j, i + taps])
+            add_layer(iq[frame], layer)

@@ -9,7 +9,12 @@ import numpy as np
 from numba import njit
 
 from sonoservo.systems.sampling.kernels import OPTIONS
-from sonoservo.systems.ultrasound.simulation.kernels.blocks import count_below, frame_blocks, misses
+from sonoservo.systems.ultrasound.simulation.kernels.blocks import (
+    count_below,
+    frame_blocks,
+    keep_between,
+    misses,
+)
 from sonoservo.systems.ultrasound.simulation.kernels.body import keep_inside
 from sonoservo.systems.ultrasound.simulation.kernels.displacement import (
     displace,
@@ -77,8 +82,9 @@ def render_tissue(  # type: ignore[no-untyped-def]
     frames, lines, samples = iq.shape
     pad = len(kernel.ends) // 2 + 1
     taps = pulse.shape[1] // 2
+    accumulator = np.empty((lines + 2 * pad, 2 * (samples + 2 * taps)), np.float32)
     for frame in range(frames):
-        accumulator = np.zeros((lines + 2 * pad, 2 * (samples + 2 * taps)), np.float32)
+        accumulator[:] = 0
         deposit_tissue(
             accumulator,
             X_FT[frame],
@@ -166,7 +172,7 @@ def deposit_tissue(  # type: ignore[no-untyped-def]
     sine = np.empty(largest, np.float32)
     kept = np.empty(largest, np.bool_)
     chosen = np.empty(largest + 1, np.uint64)
-    pushed = np.empty((3, largest), np.float32)
+    moved = np.empty((3, largest), np.float32)
     for bx in range(first[0], last[0]):
         for by in range(first[1], last[1]):
             for bz in range(first[2], last[2]):
@@ -258,20 +264,22 @@ def deposit_tissue(  # type: ignore[no-untyped-def]
                 high_x = np.float32(box[1, 0] - bx * block_size)
                 high_y = np.float32(box[1, 1] - by * block_size)
                 high_z = np.float32(box[1, 2] - bz * block_size)
+                corner = (bx * block_size, by * block_size, bz * block_size)
+                content = -1
+                if regions.content.size > 0:
+                    content = regions.content[
+                        bx - regions.first_block[0],
+                        by - regions.first_block[1],
+                        bz - regions.first_block[2],
+                    ]
                 xs = positions[0, start : start + n]
                 ys = positions[1, start : start + n]
                 zs = positions[2, start : start + n]
                 rank = ranks[start : start + n]
-                corner = (bx * block_size, by * block_size, bz * block_size)
-                source = positions
-                at_source = start
+                txs, tys, tzs = xs, ys, zs
                 if near:
-                    push_scatterers(pushed, xs, ys, zs, *corner, segment, field)
-                    source = pushed
-                    at_source = 0
-                txs = source[0, at_source : at_source + n]
-                tys = source[1, at_source : at_source + n]
-                tzs = source[2, at_source : at_source + n]
+                    push_scatterers(moved, xs, ys, zs, *corner, segment, field)
+                    txs, tys, tzs = moved[0, :n], moved[1, :n], moved[2, :n]
                 xx, xy, xz = R[0, 0], R[0, 1], R[0, 2]
                 yx, yy, yz = R[1, 0], R[1, 1], R[1, 2]
                 zx, zy, zz = R[2, 0], R[2, 1], R[2, 2]
@@ -306,28 +314,20 @@ def deposit_tissue(  # type: ignore[no-untyped-def]
                         & (at_line < last_line)
                         & (at_sample > _ZERO)
                         & (at_sample < last_sample)
-                        & (tx > low_x)
-                        & (tx < high_x)
-                        & (ty > low_y)
-                        & (ty < high_y)
-                        & (tz > low_z)
-                        & (tz < high_z)
                     )
                 number = 0
                 for i in range(n):
                     chosen[number] = i
                     number += kept[i]
+                inside = max(low_x, low_y, low_z) < 0 and min(high_x, high_y, high_z) > block_size
+                if near or not inside:
+                    low, high = (low_x, low_y, low_z), (high_x, high_y, high_z)
+                    number = keep_between(chosen, number, txs, tys, tzs, low, high)
                 if len(box) > 2:
                     number = keep_inside(chosen, number, xs, ys, zs, *corner, box)
-                if regions.content.size > 0:
-                    content = regions.content[
-                        bx - regions.first_block[0],
-                        by - regions.first_block[1],
-                        bz - regions.first_block[2],
-                    ]
-                    if content >= 0:
-                        number = weigh_scatterers(
-                            chosen, number, xs, ys, zs, *corner,
-                            content, cosine, sine, regions, lumens,
-                        )  # fmt: skip
+                if content >= 0:
+                    number = weigh_scatterers(
+                        chosen, number, xs, ys, zs, *corner,
+                        content, cosine, sine, regions, lumens,
+                    )  # fmt: skip
                 deposit(accumulator, chosen, number, line, sample, cosine, sine, pulse)

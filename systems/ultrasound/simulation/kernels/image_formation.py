@@ -51,7 +51,7 @@ def form_image(  # type: ignore[no-untyped-def]
     field
         (frames, lines, samples) complex64 speckle of the probe; empty for none.
     clutter
-        (samples,) float32 amplitude of the part of it that stays.
+        (2 samples,) float32 amplitude of the part of it that stays, every value twice.
     changing, lasting
         (frames,) amplitudes of the part that changes, whose real and imaginary part weigh two
         independent fields, and the factor on what lasts of the tissue's echo.
@@ -67,15 +67,19 @@ def form_image(  # type: ignore[no-untyped-def]
 @njit(**OPTIONS)
 def add_haze(iq, field, clutter, changing, lasting):  # type: ignore[no-untyped-def]
     """Add clutter and a slowly changing part to the (lines, samples) echoes of a frame."""
-    lines, samples = iq.shape
+    lines = len(iq)
     first, second = np.float32(changing.real), np.float32(changing.imag)
     keep = np.float32(lasting)
+    # As rows of real numbers, which the compiler vectorises.
+    echoes = iq.view(np.float32)
+    speckle = field.view(np.float32)
     for j in range(lines):
-        one = field[(j + lines // 3) % lines]
-        other = field[(j + 2 * lines // 3) % lines]
-        for i in range(samples):
+        own = speckle[j]
+        one = speckle[(j + lines // 3) % lines]
+        other = speckle[(j + 2 * lines // 3) % lines]
+        for i in range(echoes.shape[1]):
             part = first * one[i] + second * other[i]
-            iq[j, i] = keep * iq[j, i] + clutter[i] * field[j, i] + part
+            echoes[j, i] = keep * echoes[j, i] + clutter[i] * own[i] + part
 
 
 @njit(**OPTIONS)

@@ -4,6 +4,12 @@ import numpy as np
 from numba import njit
 
 from sonoservo.systems.sampling.kernels import OPTIONS
+from sonoservo.systems.ultrasound.simulation.kernels.layers import (
+    cast_shadows,
+    empty_layer,
+    join_layer,
+    touch,
+)
 from sonoservo.systems.ultrasound.simulation.kernels.pieces import place_pieces
 from sonoservo.systems.ultrasound.simulation.kernels.projection import (
     FRACTIONS,
@@ -11,7 +17,7 @@ from sonoservo.systems.ultrasound.simulation.kernels.projection import (
     line_coordinates,
     phasor,
 )
-from sonoservo.systems.ultrasound.simulation.kernels.shadows import cast_shadows, join_layer
+from sonoservo.systems.ultrasound.simulation.kernels.vector_addition import add_pulse
 
 FURTHEST = 3.0**2 / 2
 """Half the square of the standard deviations of the beam beyond which a piece has no effect."""
@@ -30,8 +36,6 @@ _OWN_SHADOW = 2.5e-3
 @njit(**OPTIONS)
 def _add_piece(  # type: ignore[no-untyped-def]
     layer,
-    loss,
-    touched,
     place,
     times,
     specular,
@@ -40,32 +44,27 @@ def _add_piece(  # type: ignore[no-untyped-def]
     step,
     rays,
     tables,
-    pulse,
+    pulses,
+    widths,
+    kind,
 ):
     """Add one piece's echo, or its echo after ``times`` round trips between face and surface.
 
     Parameters
     ----------
     layer
-        (2, lines, samples + 2 taps) float32, added to.
-    loss
-        (lines, samples) float32 shares of the amplitude that each sample takes from those behind
-        it, added to; (0, 0) for none.
-    touched
-        (lines,) flags of the lines on which the layer or the loss changes, set.
+        `Layer`, added to.
     place
         (4,) apparent position in F in m, and the cosine of the sound's angle to the normal.
     times
         Number of round trips: 1 for the first echo, 2 for the next, and so on.
     specular, diffuse, blocked, step
         See `Pieces`.
-    rays, tables, pulse
-        See `bright_echo`.
+    rays, tables, pulses, widths, kind
+        See `render_surfaces`, and the pulse's number.
     """
-    lines = layer.shape[1]
-    taps = pulse.shape[2]
-    pad = (layer.shape[2] - tables.bright.size) // 2
-    samples = layer.shape[2] - 2 * pad
+    lines, samples = layer.loss.shape
+    pad = (layer.echoes.shape[1] // 2 - samples) // 2
     line, e, r = line_coordinates(place[0], place[1], place[2], rays)
     depth = r - rays.array_radius
     at = np.int64(depth * rays.samples_per_metre + 0.5)
@@ -86,7 +85,8 @@ def _add_piece(  # type: ignore[no-untyped-def]
     turns = 2 * times * rays.turns_per_metre * step * sine / 0.8
     squared = turns * turns
     smooth = np.exp(-(squared ** (_NYQUIST_POWER // 2)))
-    fraction = np.int64((sample - k) * FRACTIONS + 0.5)
+    row = kind * (FRACTIONS + 1) + np.int64((sample - k) * FRACTIONS + 0.5)
+    width = widths[kind]
     c, s = phasor(np.float32(path * rays.turns_per_metre))
     bright = tables.bright[at]
     real = specular * smooth + diffuse.real
@@ -95,7 +95,7 @@ def _add_piece(  # type: ignore[no-untyped-def]
     # A piece's echo ends where the tissue's hides it; its shadow needs a smaller range.
     loudness = np.sqrt(re * re + im * im)
     furthest = min(np.log(loudness / FAINT_PIECE + 1e-9), FURTHEST)
-    if loss.size > 0 and blocked > 0:
+    if blocked > 0:
         furthest = max(furthest, SHADOW_REACH)
     if u > furthest:
         return
@@ -110,26 +110,17 @@ def _add_piece(  # type: ignore[no-untyped-def]
     start = k - rays.lead + pad
     audible = loudness > 0.1 * FAINT_PIECE
     for j in range(first, last + 1):
-        touched[j] = True
+        touch(layer, j, start, start + width // 2)
         main = gaussian(np.float32(u + precision * (j - line) * (j - line)))
         if audible:
-            a = main * re
-            b = main * im
-            for tap in range(taps):
-                layer[0, j, start + tap] += (
-                    a * pulse[0, fraction, tap] - b * pulse[1, fraction, tap]
-                )
-            for tap in range(taps):
-                layer[1, j, start + tap] += (
-                    a * pulse[1, fraction, tap] + b * pulse[0, fraction, tap]
-                )
-        if loss.size > 0:
-            loss[j, k] += np.float32(share) * main
+            add_pulse(layer.echoes, j, start, pulses, row, width, main * re, main * im)
+        if blocked > 0:
+            layer.loss[j, k] += np.float32(share) * main
 
 
 @njit(**OPTIONS)
 def render_surfaces(  # type: ignore[no-untyped-def]
-    iq, transmission, X_FT, pieces, growth, rays, tables, pulses, taps, view, fields, weakened
+    iq, transmission, X_FT, pieces, growth, rays, tables, pulses, widths, view, fields, weakened
 ):
     """Add surfaces to every frame, and weaken the echoes behind them.
 
@@ -147,9 +138,9 @@ def render_surfaces(  # type: ignore[no-untyped-def]
         (frames, surfaces) distances in m by which each surface is displaced outwards.
     rays, tables
         Quantities of the frames' lines and of each depth.
-    pulses, taps
-        (kinds, 2, FRACTIONS + 1, longest) float32 pulses, and (kinds,) their lengths. The first one
-        is the echo; the others follow it.
+    pulses, widths
+        (kinds (FRACTIONS + 1), widest) float32 pulses, and (kinds,) their widths. The first one is
+        the echo; the others follow it.
     view
         Apparent positions of points, or `NO_VIEW`.
     fields
@@ -169,7 +160,7 @@ def render_surfaces(  # type: ignore[no-untyped-def]
             rays,
             tables,
             pulses,
-            taps,
+            widths,
             view,
             fields,
             frame,
@@ -188,7 +179,7 @@ def _render_frame(  # type: ignore[no-untyped-def]
     rays,
     tables,
     pulses,
-    taps,
+    widths,
     view,
     fields,
     frame,
@@ -196,7 +187,7 @@ def _render_frame(  # type: ignore[no-untyped-def]
 ):
     """Add surfaces to one frame; ``reach`` is the (samples,) half width of its beam in m."""
     lines, samples = iq.shape
-    pad = pulses.shape[3]
+    pad = pulses.shape[1] // 2
     seen = np.empty(len(pieces.points), np.int64)
     places = np.empty((len(pieces.points), 4))
     count = place_pieces(seen, places, X_FT, pieces, growth, reach, rays, view, fields, frame)
@@ -206,22 +197,18 @@ def _render_frame(  # type: ignore[no-untyped-def]
                 for i in range(samples):
                     iq[j, i] *= transmission[j, i]
         return
-    layer = np.zeros((2, lines, samples + 2 * pad), np.float32)
-    loss = np.zeros((lines, samples), np.float32)
-    no_loss = np.empty((0, 0), np.float32)
-    touched = np.zeros(lines, np.bool_)
-    echo = pulses[0, :, :, : taps[0]]
+    layer = empty_layer(lines, samples, pad)
     for number in range(count):
         i = seen[number]
         facing = abs(places[number, 3])
         diffuse = pieces.diffuse[i] * facing
         blocked = pieces.blocked[i] * facing
         _add_piece(
-            layer, loss, touched, places[number], 1.0, pieces.specular[i], diffuse, blocked,
-            pieces.steps[i], rays, tables, echo,
+            layer, places[number], 1.0, pieces.specular[i], diffuse, blocked,
+            pieces.steps[i], rays, tables, pulses, widths, 0,
         )  # fmt: skip
     margin = np.int64(_OWN_SHADOW * rays.samples_per_metre)
-    cast_shadows(transmission, layer, loss, touched, margin, pad)
+    cast_shadows(transmission, layer, margin)
     for number in range(count):
         i = seen[number]
         surface = pieces.surfaces[i]
@@ -233,14 +220,13 @@ def _render_frame(  # type: ignore[no-untyped-def]
         diffuse = pieces.diffuse[i] * abs(places[number, 3]) if kind > 0 else 0j
         times = 1.0 if kind > 0 else 2.0
         again = 1.0 if kind > 0 else level
-        echo = pulses[kind, :, :, : taps[kind]]
         while again > _FAINTEST:
             _add_piece(
-                layer, no_loss, touched, places[number], times, pieces.specular[i] * again,
-                diffuse, 0.0, pieces.steps[i], rays, tables, echo,
+                layer, places[number], times, pieces.specular[i] * again,
+                diffuse, 0.0, pieces.steps[i], rays, tables, pulses, widths, kind,
             )  # fmt: skip
             if kind > 0:
                 break
             again *= level
             times += 1
-    join_layer(iq, transmission, layer, touched, weakened, pad)
+    join_layer(iq, transmission, layer, weakened)

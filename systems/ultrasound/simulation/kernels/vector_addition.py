@@ -1,4 +1,4 @@
-"""Vectorised addition of pulses to three rows, which the compiler does not vectorise by itself."""
+"""Vectorised addition of pulses to lines, which the compiler does not vectorise by itself."""
 
 from typing import Any
 
@@ -12,67 +12,119 @@ from sonoservo.systems.sampling.kernels import OPTIONS
 from sonoservo.systems.ultrasound.simulation.kernels.projection import FRACTIONS
 
 LANES = 8
-"""Number of floats that `add_to_rows` processes at a time: four complex numbers."""
+"""Number of floats that are added at a time: four complex numbers."""
 
 _HALF = np.float32(0.5)
 _THREE_QUARTERS = np.float32(0.75)
 _FRACTIONS = np.float32(FRACTIONS)
 
 
+def _vector() -> Any:
+    """Return the type of `LANES` floats."""
+    return ir.VectorType(ir.FloatType(), LANES)
+
+
+def _piece(context: Any, builder: Any, kind: Any, values: Any, index: Any) -> Any:
+    """Return the pointer to `LANES` numbers of a contiguous float32 array, by its flat index."""
+    data = cgutils.create_struct_proxy(kind)(context, builder, value=values).data
+    return builder.bitcast(builder.gep(data, [index]), _vector().as_pointer())
+
+
+def _spread(builder: Any, *values: Any) -> Any:
+    """Return a vector that repeats values."""
+    result = ir.Constant(_vector(), ir.Undefined)
+    for lane in range(LANES):
+        position = ir.Constant(ir.IntType(32), lane)
+        result = builder.insert_element(result, values[lane % len(values)], position)
+    return result
+
+
+# Neither function has "fast" arithmetic, which some processors would fuse.
+
+
 @intrinsic
-def add_to_rows(  # type: ignore[no-untyped-def]
+def _add_to_rows(  # type: ignore[no-untyped-def]
     typing_context, rows, at, width, table, start, real, imaginary, below, here, above
 ):
-    """Add a piece of a pulse, times a complex amplitude, to three neighbouring rows.
+    """Add an envelope, every value twice, times an amplitude, to three rows at given weights.
 
-    With ``a = (real, imaginary, real, imaginary, ...)`` and ``n = 0 .. LANES - 1``::
-
-        rows[at + n] += below * a[n] * table[start + n]
-        rows[at + width + n] += here * a[n] * table[start + n]
-        rows[at + 2 * width + n] += above * a[n] * table[start + n]
-
-    Parameters
-    ----------
-    rows, table
-        1D float32 arrays, accessed without checks of their bounds.
-    at, width, start
-        int64 index of the first row's piece, distance between rows, and index into the table.
-    real, imaginary, below, here, above
-        float32 parts of the amplitude, and weights of the three rows.
+    With ``a = (real, imaginary, real, imaginary, ...)`` and ``n = 0 .. LANES - 1``, at flat indices
+    of contiguous float32 arrays, unchecked: ``rows[at + n] += a[n] * table[start + n] * below``,
+    and so on with ``here`` and ``above``, each ``width`` numbers further on.
     """
-    array = types.Array(types.float32, 1, "C")
     number, scalar = types.int64, types.float32
     signature = types.none(
-        array, number, number, array, number, scalar, scalar, scalar, scalar, scalar
+        rows, number, number, table, number, scalar, scalar, scalar, scalar, scalar
     )
 
-    def generate(context: Any, builder: Any, _: Any, arguments: Any) -> Any:
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        kinds = signature.args
         rows, at, width, table, start, real, imaginary, *weights = arguments
-        vector = ir.VectorType(ir.FloatType(), LANES)
-
-        def piece(values: Any, index: Any) -> Any:
-            data = cgutils.create_struct_proxy(array)(context, builder, value=values).data
-            return builder.bitcast(builder.gep(data, [index]), vector.as_pointer())
-
-        def spread(*values: Any) -> Any:
-            result = ir.Constant(vector, ir.Undefined)
-            for lane in range(LANES):
-                position = ir.Constant(ir.IntType(32), lane)
-                result = builder.insert_element(result, values[lane % len(values)], position)
-            return result
-
-        # No "fast" arithmetic, which some processors would fuse.
-        pulse = builder.load(piece(table, start), align=4)
-        echo = builder.fmul(pulse, spread(real, imaginary))
+        pulse = builder.load(_piece(context, builder, kinds[3], table, start), align=4)
+        echo = builder.fmul(pulse, _spread(builder, real, imaginary))
         for weight in weights:
-            row = piece(rows, at)
-            product = builder.fmul(echo, spread(weight))
+            row = _piece(context, builder, kinds[0], rows, at)
+            product = builder.fmul(echo, _spread(builder, weight))
             total = builder.fadd(builder.load(row, align=4), product)
             builder.store(total, row, align=4)
             at = builder.add(at, width)
         return context.get_dummy_value()
 
     return signature, generate
+
+
+@intrinsic
+def _add_to_row(typing_context, rows, at, table, start, real, imaginary):  # type: ignore[no-untyped-def]
+    """Add a complex pulse times a complex amplitude to a row, real and imaginary parts alternating.
+
+    As `_add_to_rows`: ``rows[at + n] += (real + i imaginary) * table[start + n]``.
+    """
+    number, scalar = types.int64, types.float32
+    signature = types.none(rows, number, table, number, scalar, scalar)
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        kinds = signature.args
+        rows, at, table, start, real, imaginary = arguments
+        pulse = builder.load(_piece(context, builder, kinds[2], table, start), align=4)
+        order = [ir.Constant(ir.IntType(32), lane ^ 1) for lane in range(LANES)]
+        swapped = builder.shuffle_vector(
+            pulse,
+            ir.Constant(_vector(), ir.Undefined),
+            ir.Constant(ir.VectorType(ir.IntType(32), LANES), order),
+        )
+        negative = builder.fneg(imaginary)
+        echo = builder.fadd(
+            builder.fmul(pulse, _spread(builder, real)),
+            builder.fmul(swapped, _spread(builder, negative, imaginary)),
+        )
+        row = _piece(context, builder, kinds[0], rows, at)
+        builder.store(builder.fadd(builder.load(row, align=4), echo), row, align=4)
+        return context.get_dummy_value()
+
+    return signature, generate
+
+
+@njit(**OPTIONS)
+def add_pulse(layer, line, sample, pulse, row, width, real, imaginary):  # type: ignore[no-untyped-def]
+    """Add a pulse times a complex amplitude to a line of a layer, from a sample on.
+
+    Parameters
+    ----------
+    layer
+        (lines, 2 samples) float32, real and imaginary parts alternating, added to.
+    line, sample
+        Indices of the line and of the pulse's first sample.
+    pulse, row, width
+        (rows, 2 taps or more) float32 as the layer, the row's number, and its width.
+    real, imaginary
+        Amplitude, float32.
+    """
+    at = line * layer.shape[1] + 2 * sample
+    start = row * pulse.shape[1]
+    for _ in range(width // LANES):
+        _add_to_row(layer, at, pulse, start, real, imaginary)
+        at += LANES
+        start += LANES
 
 
 @njit(**OPTIONS)
@@ -91,8 +143,6 @@ def deposit(accumulator, chosen, count, line, sample, cosine, sine, pulse):  # t
         (FRACTIONS + 1, 2 taps) float32 envelope, every value twice.
     """
     width = accumulator.shape[1]
-    flat = accumulator.reshape(-1)
-    table = pulse.reshape(-1)
     chunks = pulse.shape[1] // LANES
     for number in range(count):
         i = chosen[number]
@@ -106,11 +156,11 @@ def deposit(accumulator, chosen, count, line, sample, cosine, sine, pulse):  # t
         above = _HALF * (_HALF + t) * (_HALF + t)
         here = _THREE_QUARTERS - t * t
         for chunk in range(chunks):
-            add_to_rows(
-                flat,
+            _add_to_rows(
+                accumulator,
                 (j - 1) * width + 2 * k + LANES * chunk,
                 width,
-                table,
+                pulse,
                 fraction * pulse.shape[1] + LANES * chunk,
                 re,
                 im,

@@ -29,6 +29,9 @@ _LONGEST_NEEDLE = 0.3
 _NODE = 2e-3
 _WAVES = 12
 _GAUGE_18 = 0.635e-3
+_POINTS_PER_WAVELENGTH = 4
+"""With four points in a wavelength, two ways, the nearest angle that aliases is beyond 90 deg by as
+much as 90 deg is from the normal, so a pulse as long as a wavelength hides it as well."""
 _PIECES_PER_WAVELENGTH = 3
 """Pieces of the tip's surface less than half a wavelength apart alias at no angle, two ways."""
 
@@ -161,7 +164,9 @@ def needle_echo(
 
 def rough_phases(beam: Beam, rng: np.random.Generator) -> NDArray[np.complex128]:
     """Draw the phase factors due to the rough surface of a needle's points."""
-    return np.exp(2j * np.pi * rng.random(int(8 * _LONGEST_NEEDLE / beam.wavelength)))
+    return np.exp(
+        2j * np.pi * rng.random(int(_POINTS_PER_WAVELENGTH * _LONGEST_NEEDLE / beam.wavelength))
+    )
 
 
 def reverberations(
@@ -260,7 +265,7 @@ def needle_view(
     if parameters.diffuse_lobe_deg is not None:
         lobe = 0.5 ** ((np.rad2deg(np.arcsin(sine)) / parameters.diffuse_lobe_deg) ** 2)
     dimples = parameters.dimples_db
-    spacing = beam.wavelength / 8
+    spacing = beam.wavelength / _POINTS_PER_WAVELENGTH
     return NeedleView(
         specular=fade * np.sqrt(cosine),
         diffuse=fade * lobe,
@@ -275,10 +280,10 @@ def needle_view(
 
 
 def rod_amplitudes(
-    level_db: float, diffuse_db: float, beam: Beam, reference: int, points_per_wavelength: int = 8
+    level_db: float, diffuse_db: float, beam: Beam, reference: int
 ) -> tuple[float, float, float]:
     """Return the spacing in m and the specular and diffuse amplitudes of a thin rod's points."""
-    spacing = beam.wavelength / points_per_wavelength
+    spacing = beam.wavelength / _POINTS_PER_WAVELENGTH
     width = beam.lateral[reference]
     # The amplitudes of points in phase add up under the beam.
     length = np.sqrt(2 * np.pi) * width

@@ -7,11 +7,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from sonoservo.systems.sampling.kernels import OPTIONS
-from sonoservo.systems.ultrasound.simulation.kernels.bright_echo import (
-    add_layer,
-    add_point,
-    seen_within,
-)
+from sonoservo.systems.ultrasound.simulation.kernels.bright_echo import add_point, seen_within
+from sonoservo.systems.ultrasound.simulation.kernels.layers import add_layer, empty_layer
 from sonoservo.systems.ultrasound.simulation.kernels.projection import transformed
 
 
@@ -78,34 +75,31 @@ def render_needles(  # type: ignore[no-untyped-def]
         there are none.
     """
     frames, lines, samples = iq.shape
-    taps = pulse.shape[2]
+    taps = pulse.shape[1] // 2
     slab = seen_within(samples, rays, tables)
+    layer = empty_layer(lines, samples, taps)
     for frame in range(frames):
         shaft = shafts[starts[frame] : starts[frame + 1]]
         if len(shaft) > 1:
-            layer = np.zeros((2, lines, samples + 2 * taps), np.float32)
-            shadow = np.zeros((lines, samples), np.float32)
             beam = (slab, rays, tables, pulse)
-            seen = _add_tip(layer, shadow, X_FT[frame], shaft[-1], echo, tip, view, frame, *beam)
-            seen |= _add_needle(
-                layer, shadow, X_FT[frame], shaft, radius, echo, phases, view, frame, *beam
-            )
+            seen = _add_tip(layer, X_FT[frame], shaft[-1], echo, tip, view, frame, *beam)
+            seen |= _add_needle(layer, X_FT[frame], shaft, radius, echo, phases, view, frame, *beam)
             if seen:
-                _cast_shadow(iq[frame], shadow)
+                _cast_shadow(iq[frame], layer)
                 if len(transmission) > 0:
-                    _weaken_layer(layer, transmission[frame], taps)
-                add_layer(iq[frame], layer, taps)
+                    _weaken_layer(layer, transmission[frame])
+                add_layer(iq[frame], layer)
 
 
 @njit(**OPTIONS)
 def _add_needle(  # type: ignore[no-untyped-def]
-    layer, shadow, X_FT, shaft, radius, echo, phases, view, frame, slab, rays, tables, pulse
+    layer, X_FT, shaft, radius, echo, phases, view, frame, slab, rays, tables, pulse
 ):
     """Add the echo of a needle, point by point from the tip; return True if any point shows.
 
     Parameters
     ----------
-    layer, shadow
+    layer
         See `add_point`.
     X_FT
         (3, 4) pose of the tissue in F.
@@ -162,7 +156,7 @@ def _add_needle(  # type: ignore[no-untyped-def]
             real = specular + diffuse * phase.real
             imaginary = diffuse * phase.imag
             seen |= add_point(
-                layer, shadow, x, y, z, closer, real, imaginary, echo.shadow, rays, tables, pulse
+                layer, x, y, z, closer, real, imaginary, echo.shadow, rays, tables, pulse
             )
         along -= length
     return seen
@@ -170,13 +164,13 @@ def _add_needle(  # type: ignore[no-untyped-def]
 
 @njit(**OPTIONS)
 def _add_tip(  # type: ignore[no-untyped-def]
-    layer, shadow, X_FT, p_TTip, echo, tip, view, frame, slab, rays, tables, pulse
+    layer, X_FT, p_TTip, echo, tip, view, frame, slab, rays, tables, pulse
 ):
     """Add the echo of a tip's surface, piece by piece; return True if any piece shows.
 
     Parameters
     ----------
-    layer, shadow, rays, tables, pulse
+    layer, rays, tables, pulse
         See `add_point`.
     X_FT
         (3, 4) pose of the tissue in F.
@@ -206,7 +200,6 @@ def _add_tip(  # type: ignore[no-untyped-def]
         amplitude = echo.piece * tip.areas[i] * facing
         shown = add_point(
             layer,
-            shadow,
             x + a * axes[0, 0] + b * axes[1, 0] + c * axes[2, 0],
             y + a * axes[0, 1] + b * axes[1, 1] + c * axes[2, 1],
             z + a * axes[0, 2] + b * axes[1, 2] + c * axes[2, 2],
@@ -223,19 +216,23 @@ def _add_tip(  # type: ignore[no-untyped-def]
 
 
 @njit(**OPTIONS)
-def _cast_shadow(iq, shadow):  # type: ignore[no-untyped-def]
-    """Weaken the (lines, samples) echoes that lie in the (lines, samples) shadow."""
-    for j in range(iq.shape[0]):
+def _cast_shadow(iq, layer):  # type: ignore[no-untyped-def]
+    """Weaken the (lines, samples) echoes that lie in a layer's shadow."""
+    lines, samples = iq.shape
+    pad = (layer.echoes.shape[1] // 2 - samples) // 2
+    for j in range(lines):
         loss = np.float32(0)
-        for i in range(iq.shape[1]):
+        for i in range(max(layer.spans[j, 0] - pad, 0), samples):
             iq[j, i] *= np.float32(1) - loss
-            loss = max(loss, shadow[j, i])
+            loss = max(loss, layer.loss[j, i])
 
 
 @njit(**OPTIONS)
-def _weaken_layer(layer, transmission, taps):  # type: ignore[no-untyped-def]
+def _weaken_layer(layer, transmission):  # type: ignore[no-untyped-def]
     """Weaken a layer by a frame's (lines, samples) transmission."""
-    for j in range(transmission.shape[0]):
-        for i in range(transmission.shape[1]):
-            layer[0, j, i + taps] *= transmission[j, i]
-            layer[1, j, i + taps] *= transmission[j, i]
+    lines, samples = transmission.shape
+    pad = (layer.echoes.shape[1] // 2 - samples) // 2
+    for j in range(lines):
+        for i in range(max(layer.spans[j, 0] - pad, 0), min(layer.spans[j, 1] - pad, samples)):
+            layer.echoes[j, 2 * (i + pad)] *= transmission[j, i]
+            layer.echoes[j, 2 * (i + pad) + 1] *= transmission[j, i]

@@ -25,7 +25,6 @@ def inclusion_points(
     inside = [_is_inside(middle, tissue) for middle in middles]
     fibres = tissue.fibres + [each for each, there in zip(drawn, inside, strict=True) if there]
     parts += [_fibre_points(fibre, beam, reference, rng) for fibre in fibres]
-    # Points a third of a wavelength apart reflect sound like a line at every angle.
     parts += [
         _fibre_points(
             Fibre(
@@ -34,7 +33,6 @@ def inclusion_points(
             beam,
             reference,
             rng,
-            3,
         )
         for structure in tissue.structures
         for rod in structure.rods()
@@ -65,11 +63,8 @@ def _fibre_points(
     beam: Beam,
     reference: int,
     rng: np.random.Generator,
-    points_per_wavelength: int = 8,
 ) -> tuple[NDArray[np.float64], NDArray[np.complex128]]:
-    spacing, specular, diffuse = rod_amplitudes(
-        fibre.level_db, fibre.diffuse_db, beam, reference, points_per_wavelength
-    )
+    spacing, specular, diffuse = rod_amplitudes(fibre.level_db, fibre.diffuse_db, beam, reference)
     start, end = np.array(fibre.start), np.array(fibre.end)
     along = np.arange(0, 1, spacing / np.linalg.norm(end - start))[:, np.newaxis]
     phases = rng.uniform(0, 2 * np.pi, len(along))

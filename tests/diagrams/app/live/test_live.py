@@ -21,9 +21,10 @@ from sonoservo.diagrams import MakeNeedleTracker, load_scenario, run, track_reco
 from sonoservo.diagrams.app.cli import run_arguments
 from sonoservo.diagrams.app.drive import DrivenExperiment
 from sonoservo.diagrams.app.live.bridge import play_live, record_live
-from sonoservo.diagrams.app.live.commands import make_maker, needle_names
-from sonoservo.diagrams.app.live.serve import live_senders, opened
-from sonoservo.diagrams.app.live.track_live import LiveLimits, live_volumes, track_live
+from sonoservo.diagrams.app.live.serve import live_senders, needle_names, opened
+from sonoservo.diagrams.app.live.track_live import live_volumes, track_live
+from sonoservo.diagrams.app.options import LiveLimits, ReadingFrames
+from sonoservo.diagrams.app.volumes.opening import live_maker
 from sonoservo.diagrams.app.volumes.track import tracker_parameters
 from sonoservo.systems.display.console.console import Console
 from sonoservo.systems.files.refusals import ConfigurationError
@@ -202,7 +203,7 @@ def test_quiet_stream_ends_by_patience():
             assert list(live_volumes(source, LiveLimits(patience=0.3), said.append)) == []
     assert "for 0.3 s: ending" in said[-1]
     for limits in ({"patience": float("nan")}, {"patience": -1.0}, {"volumes": 0}):
-        with pytest.raises(ValueError, match="is not allowed; it must be above 0"):
+        with pytest.raises(ValueError, match="is not allowed; it must be a number above 0"):
             LiveLimits(**limits)
 
 
@@ -324,7 +325,7 @@ def test_names_of_devices_can_be_set():
 )
 def test_what_makes_no_volumes_is_refused(options, message):
     with pytest.raises(ConfigurationError, match=message):
-        make_maker(**options)
+        live_maker(ReadingFrames(**options))
 
 
 @pytest.mark.parametrize(

@@ -16,6 +16,7 @@ from sonoservo.diagrams.experiments.following_insertion import make_insertion
 from sonoservo.diagrams.papers import results
 from sonoservo.diagrams.papers.registry import STUDIES, require_paper
 from sonoservo.diagrams.published import PAPERS
+from sonoservo.diagrams.studies import records
 from sonoservo.diagrams.studies.robustness import reproduction
 from sonoservo.diagrams.studies.robustness.analysis import (
     Figure,
@@ -357,6 +358,14 @@ def test_the_whole_study_in_short(tmp_path, monkeypatch):
     assert {path.stem for path in tmp_path.glob("*.png")} == names
     page = (tmp_path / "report.html").read_text()
     assert page.count("data:image/png;base64,") == len(names)
+    monkeypatch.setattr(records, "present_commit", lambda: "abc")
+    records.write_records(tmp_path / "kept.gz", study.outcomes, "reproduce")
+    kept = records.read_records(tmp_path / "kept.gz")
+    assert not kept.is_outdated
+    again = report(kept.outcomes)
+    assert [row.named for row in again.rows] == [row.named for row in study.rows]
+    for one, other in zip(again.rows, study.rows, strict=True):
+        assert one.true == pytest.approx(other.true, rel=1e-5)
 
 
 def test_errors_in_the_probe_do_not_hold_an_error_of_its_pose():

@@ -6,12 +6,16 @@ import numpy as np
 import pytest
 from renderers import DEEP, make_renderer, still
 
+from sonoservo.diagrams import load_scenario
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.ultrasound.simulation.needles.needle_echo import (
     NeedleEchoParameters,
     NeedleFading,
 )
-from sonoservo.systems.ultrasound.simulation.needles.needle_kind import load_needle
+from sonoservo.systems.ultrasound.simulation.needles.needle_kind import (
+    draw_needle,
+    load_needle,
+)
 
 TIP = np.array([0.0, 0.0, -0.15])
 SILENT = {"shadow": 0.0}
@@ -164,3 +168,23 @@ def test_a_withdrawn_needle_leaves_a_track_of_its_level():
 def test_dial_out_of_range_is_named(field, value):
     with pytest.raises(ValueError, match=field):
         NeedleEchoParameters(**{field: value})
+
+
+def test_a_seed_draws_the_needle_and_held_out_seeds_draw_other_kinds():
+    drawn = {seed: draw_needle(seed) for seed in (*range(40), *range(100, 140))}
+    assert drawn[7] == draw_needle(7)
+    tips = {
+        held_out: {
+            each["scanner"]["needle"]["tip"]
+            for seed, each in drawn.items()
+            if (seed < 100) == held_out
+        }
+        for held_out in (True, False)
+    }
+    assert tips == {True: {"bevel", "diamond"}, False: {"bevel"}}
+    assert {each["hand"]["gauge"] for each in drawn.values()} == {18, 20, 22}
+    clutter = [each["scanner"]["clutter_db"] for each in drawn.values()]
+    assert -30 <= min(clutter) < -25 < -15 < max(clutter) <= -10
+    again = load_scenario(load_scenario("clinic", seed=101), seed=3)
+    assert again.scanner.needle == load_scenario("clinic", seed=3).scanner.needle
+    assert load_scenario("clinic", seed=3, changes={"hand.gauge": 17}).hand.gauge == 17

@@ -2,6 +2,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from pydrake.math import RigidTransform
 from synthetic_volumes import GEOMETRY, Scene, entry_on_side
 
 from sonoservo.diagrams.papers.chatelain2013.method.detection import (
@@ -52,6 +53,8 @@ def test_the_median_must_be_near_its_face(before, entered):
 def test_nothing_moved(before):
     still = dataclasses.replace(before, intensities=np.full(before.intensities.shape, 9, np.uint8))
     assert "nothing changed" in detect(still, still).reason
+    moved = dataclasses.replace(before, X_WP=RigidTransform([0, 1.5e-3, 0]).multiply(before.X_WP))
+    assert "probe moved" in detect(moved, before).reason
     small = dataclasses.replace(before, intensities=before.intensities[:9])
     assert "grid" in detect(small, before).reason
 

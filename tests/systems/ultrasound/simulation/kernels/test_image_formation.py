@@ -61,7 +61,7 @@ def test_tissue_at_rest_changes_as_stated():
     rng = np.random.default_rng(0)
     draws = rng.normal(size=(2, 2, 90, 500)).astype(np.float32) / np.sqrt(2)
     tissue, field = (draws[:, 0] + 1j * draws[:, 1]).astype(np.complex64)
-    share, silent = 0.3, np.zeros(500, np.float32)
+    share, silent = 0.3, np.zeros(1000, np.float32)
 
     def at(turn):
         iq = tissue.copy()

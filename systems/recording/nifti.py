@@ -1,0 +1,65 @@
+"""Reader of volumes from NIfTI files (``.nii``, ``.nii.gz``), as of ITK, FSL and 3D Slicer."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
+from sonoservo.systems.files.volume_file import (
+    MAX_DEFLATED,
+    VolumeFile,
+    check_layout,
+    require_voxels,
+)
+
+SUFFIXES = (".nii", ".nii.gz")
+
+_MM = {"mm": 1.0, "meter": 1e3, "micron": 1e-3, "unknown": 1.0}
+_SECONDS = {"sec": 1.0, "msec": 1e-3, "usec": 1e-6}
+
+
+def open_nifti(path: Path, *, frames: bool = False) -> VolumeFile:
+    """Open a NIfTI file with one volume, or with a sequence of them along its fourth axis.
+
+    Its coordinates, RAS, become LPS in mm. Times follow from the fourth spacing if its unit is one
+    of time.
+    """
+    import nibabel  # late, as it takes a while
+
+    with refusing_failures(path, "it is no NIfTI file"):
+        image: Any = nibabel.load(path)
+        sizes, header = image.shape, image.header
+        if len(sizes) not in (3, 4):
+            raise ConfigurationError(
+                f"{path}: dim: {list(sizes)} is not allowed; a volume has 3 axes, a sequence 4"
+            )
+        length, duration = header.get_xyzt_units()
+        if length not in _MM:
+            raise ConfigurationError(f"{path}: xyzt_units: {length!r} is not allowed")
+        ras = np.array([-1.0, -1.0, 1.0]) * _MM[length]
+        affine = np.array(image.affine, float)
+        directions, origin = ras[:, np.newaxis] * affine[:3, :3], ras * affine[:3, 3]
+        shape, count = sizes[:3], sizes[3] if len(sizes) == 4 else 1
+        check_layout(path, shape, count, directions, frames=frames)
+        require_voxels(path, shape)  # before any voxel is looked for
+        size = math.prod(sizes) * image.get_data_dtype().itemsize
+        present = path.stat().st_size * (MAX_DEFLATED if path.suffix.lower() == ".gz" else 1)
+        if size > present:
+            raise ConfigurationError(f"{path}: it is cut off: {size} bytes of voxels are announced")
+        step = float(header.get_zooms()[3]) if len(sizes) == 4 else 0.0
+        times = None
+        if duration in _SECONDS and step > 0:
+            times = _SECONDS[duration] * (float(header["toffset"]) + step * np.arange(count))
+
+    def read(number: int) -> NDArray[Any]:
+        with refusing_failures(path, "its voxels cannot be read"):
+            voxels = image.dataobj[..., number] if len(sizes) == 4 else image.dataobj
+            return np.asarray(voxels)
+
+    notes = ()
+    if length == "unknown":
+        notes = ("it states no unit of length; mm are taken",)
+    return VolumeFile(path, shape, count, directions, origin, read, times, notes=notes)
