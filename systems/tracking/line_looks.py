@@ -60,7 +60,7 @@ _WEIGHTS = {
 }
 """Weights of a line's looks in the logarithm of the odds that it is a needle, if every second
 volume has one: a logistic regression on the likeliest lines of own scans and painted images, seeds
-1000 to 1299, made and fitted by ``python -m looks_study`` (tests/helpers)."""
+1000 to 1074, two of three, made and fitted by ``python -m looks_study`` (tests/helpers)."""
 
 
 def line_looks(
