@@ -527,9 +527,8 @@ def _judged(lines: Lines, newest: Remembered, look: bool) -> Lines:
     looks, looked = lines.looks.copy(), lines.looked.copy()
     ends = newest.in_image(_seen_ends(lines).reshape(-1, 3)).reshape(-1, 2, 3)
     backwards = _backwards(lines)
-    for n in np.flatnonzero(judged):
-        odds = log_odds(newest.volume, ends[n, ::-1] if backwards[n] else ends[n])
-        if odds is not None:
-            looks[n] += np.clip(odds, *_MOST_LOOKS)
-            looked[n] += 1
+    ends = np.where(backwards[:, np.newaxis, np.newaxis], ends[:, ::-1], ends)[judged]
+    odds = log_odds(newest.volume, ends, dark_entry=True)
+    looks[judged] += np.clip(np.nan_to_num(odds, nan=0.0), *_MOST_LOOKS)
+    looked[judged] += ~np.isnan(odds)
     return replace(lines, looks=looks, looked=looked)

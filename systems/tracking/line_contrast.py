@@ -42,6 +42,31 @@ _SUREST = 3.3
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _core(intensities: Any, x: float, y: float, z: float, across: Any) -> float:
+    """Return five times the mean level of a line's echo at fractional indices."""
+    nx, ny, nz = intensities.shape
+    level = trilinear(intensities, x, y, z)
+    for q in range(4):
+        c = _CORE * (1 - 2 * (q % 2))
+        p = x + c * across[q // 2, 0]
+        r = y + c * across[q // 2, 1]
+        t = z + c * across[q // 2, 2]
+        if 0 <= p <= nx - 1 and 0 <= r <= ny - 1 and 0 <= t <= nz - 1:
+            level += trilinear(intensities, p, r, t)
+    return level
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _side(intensities: Any, volume_seen: Any, x: float, y: float, z: float) -> Any:
+    """Return the level at fractional indices, and whether it was seen."""
+    nx, ny, nz = intensities.shape
+    inside = 0 <= x <= nx - 1 and 0 <= y <= ny - 1 and 0 <= z <= nz - 1
+    if inside and volume_seen[int(x + 0.5), int(y + 0.5), int(z + 0.5)]:
+        return trilinear(intensities, x, y, z), 1
+    return 0.0, 0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _line_contrasts(  # pragma: no cover - compiled
     intensities: Any, volume_seen: Any, starts: Any, steps: Any, across: Any, count: int
 ) -> Any:
@@ -89,24 +114,14 @@ def _line_contrasts(  # pragma: no cover - compiled
                 ):
                     seen[n, b] = False
                     break
-                level = trilinear(intensities, x, y, z)
-                for q in range(4):
-                    c = _CORE * (1 - 2 * (q % 2))
-                    p = x + c * across[n, q // 2, 0]
-                    r = y + c * across[n, q // 2, 1]
-                    t = z + c * across[n, q // 2, 2]
-                    if 0 <= p <= nx - 1 and 0 <= r <= ny - 1 and 0 <= t <= nz - 1:
-                        level += trilinear(intensities, p, r, t)
-                core[b] += 0.1 * level
+                core[b] += 0.1 * _core(intensities, x, y, z, across[n])
             for s in range(8):
                 valid[b, s], sides[b, s] = 0, 0.0
                 if seen[n, b]:
                     x = starts[n, 0] + b * steps[n, 0] + offsets[s, 0]
                     y = starts[n, 1] + b * steps[n, 1] + offsets[s, 1]
                     z = starts[n, 2] + b * steps[n, 2] + offsets[s, 2]
-                    inside = 0 <= x <= nx - 1 and 0 <= y <= ny - 1 and 0 <= z <= nz - 1
-                    if inside and volume_seen[int(x + 0.5), int(y + 0.5), int(z + 0.5)]:
-                        sides[b, s], valid[b, s] = trilinear(intensities, x, y, z), 1
+                    sides[b, s], valid[b, s] = _side(intensities, volume_seen, x, y, z)
         for b in range(count):
             if seen[n, b]:
                 first, last = max(b - _AVERAGED, 0), min(b + _AVERAGED + 1, count)
@@ -124,6 +139,48 @@ def _line_contrasts(  # pragma: no cover - compiled
                             second = total
                 contrasts[n, b], beside[n, b] = core[b] - second, second
     return contrasts, beside, seen
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _cross_sections(  # pragma: no cover - compiled
+    intensities: Any, volume_seen: Any, starts: Any, steps: Any, across: Any, radii: Any, count: int
+) -> Any:
+    """Return mean levels on circles around lines, and the shares of them that are seen.
+
+    Arguments as of `_line_contrasts`, and (r,) radii of the circles in m. Returns (n,) grey levels
+    of the cores, (n, r, 8) of the sectors, and (n, r, 8) shares.
+    """
+    lines, circles = len(starts), len(radii)
+    cores = np.zeros(lines)
+    sides, shares = np.zeros((lines, circles, 8)), np.zeros((lines, circles, 8))
+    for n in range(lines):
+        found = 0
+        for b in range(count):
+            x = starts[n, 0] + b * steps[n, 0]
+            y = starts[n, 1] + b * steps[n, 1]
+            z = starts[n, 2] + b * steps[n, 2]
+            if _side(intensities, volume_seen, x, y, z)[1]:
+                cores[n] += 0.2 * _core(intensities, x, y, z, across[n])
+                found += 1
+            for r in range(circles):
+                for s in range(8):
+                    c = radii[r] * math.cos(s * math.pi / 4)
+                    d = radii[r] * math.sin(s * math.pi / 4)
+                    level, seen = _side(
+                        intensities,
+                        volume_seen,
+                        x + c * across[n, 0, 0] + d * across[n, 1, 0],
+                        y + c * across[n, 0, 1] + d * across[n, 1, 1],
+                        z + c * across[n, 0, 2] + d * across[n, 1, 2],
+                    )
+                    sides[n, r, s] += level
+                    shares[n, r, s] += seen
+        cores[n] /= max(found, 1)
+        for r in range(circles):
+            for s in range(8):
+                sides[n, r, s] /= max(shares[n, r, s], 1.0)
+                shares[n, r, s] /= count
+    return cores, sides, shares
 
 
 def across(directions: Floats) -> Floats:
@@ -170,6 +227,43 @@ def contrasts_and_sides(
     )
     scale = np.float32(volume.decibels_per_level)
     return contrasts * scale, beside * scale, seen
+
+
+def cross_sections(
+    volume: Volume, ends: Floats, radii: Floats, count: int = 24
+) -> tuple[Floats, NDArray[np.float64]]:
+    """Return the cross-sections of lines, averaged along them.
+
+    Parameters
+    ----------
+    volume
+        Volume to sample.
+    ends
+        (n, 2, 3) ends of the lines in P, in m.
+    radii
+        (r,) radii of circles around them, in m.
+    count
+        Number of cross-sections that are averaged.
+
+    Returns
+    -------
+    (n, r, 8) levels in dB of the line above the circles' sectors, NaN where they are not seen, and
+    (n, r, 8) shares of the sectors that are. The first sector lies level beside the line, the third
+    above it.
+    """
+    along = ends[:, 1] - ends[:, 0]
+    directions = along / np.linalg.norm(along, axis=1, keepdims=True)
+    cores, sides, shares = _cross_sections(
+        volume.intensities,
+        volume.seen,
+        volume.index(ends[:, 0]),
+        along / (count - 1) / volume.spacing,
+        across(directions) / volume.spacing,
+        radii,
+        count,
+    )
+    contrasts = volume.decibels_per_level * (cores[:, np.newaxis, np.newaxis] - sides)
+    return np.where(shares > 0, contrasts, np.nan), shares
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

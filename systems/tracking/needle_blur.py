@@ -59,26 +59,22 @@ def needle_blur(
     return np.interp(np.arange(len(p_P)), few, width)
 
 
-def streak_length(volume: Volume, ends: NDArray[np.float64]) -> float:
-    """Return the length to which the beam draws out a single point, along a line through it.
+def streak_lengths(volume: Volume, ends: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the lengths to which the beam draws out a single point, along lines through it.
 
-    Parameters
-    ----------
-    volume
-        Volume with the line.
-    ends
-        (2, 3) ends of the line in P, in m.
-
-    Returns
-    -------
-    Largest full width at half maximum along the line in m; 0 if the volume does not tell it.
+    ``ends`` are (n, 2, 3) ends in P, in m. The lengths are the largest full widths at half maximum
+    along each line, (n,) in m; 0 if the volume does not tell them.
     """
-    points = np.linspace(ends[0], ends[1], 3)
-    covariance = echo_covariance(volume, points)
+    n = len(ends)
+    covariance = echo_covariance(volume, np.linspace(ends[:, 0], ends[:, 1], 3).reshape(-1, 3))
     if covariance is None:
-        return 0.0
-    along = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
-    return FWHM_PER_SIGMA * float(_on_axis(covariance + _FINEST**2 * np.eye(3), along).max())
+        return np.zeros(n)
+    along = ends[:, 1] - ends[:, 0]
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    inverse = np.linalg.inv(covariance.reshape(3, n, 3, 3) + _FINEST**2 * np.eye(3))
+    return np.asarray(
+        FWHM_PER_SIGMA / np.sqrt(np.einsum("pnij,ni,nj->pn", inverse, along, along).min(axis=0))
+    )
 
 
 def echo_covariance(

@@ -5,103 +5,47 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter1d
 from scipy.special import expit
 
 from sonoservo.systems.signals.immutable import Immutable, read_only
 from sonoservo.systems.signals.volume import Volume
 from sonoservo.systems.tracking.cells import cells_of
-from sonoservo.systems.tracking.line_features import line_features
+from sonoservo.systems.tracking.line_contrast import (
+    BIN,
+    BINS,
+    MIDDLES,
+    line_contrasts,
+    log_ratio,
+    stretches,
+)
 from sonoservo.systems.tracking.line_fit import fitted_lines
-from sonoservo.systems.tracking.line_profile import profile
-from sonoservo.systems.tracking.needle_blur import streak_length
-from sonoservo.systems.tracking.tip import most_evident_stretch
+from sonoservo.systems.tracking.line_looks import line_looks, looks_odds
 
 Floats = NDArray[np.float64]
 
-_WEIGHTS = {
-    "constant": 12.87,
-    "evidence": 3.69,
-    "short": -6.14,
-    "fall": 4.12,
-    "entry gap": -1.84,
-    "tip at edge": -3.24,
-    "width": -7.84,
-    "near aside": 0.47,
-    "near least": 0.21,
-    "far above": -0.17,
-    "far middle": -0.74,
-    "behind": -0.78,
-    "border": -0.49,
-}
-"""Weights of a line's features (`line_features`) in the logarithm of the odds that it is a needle.
-
-They are a logistic regression on the lines of 1240 volumes from two independent generators of
-images, half of them without a needle. Most have bones, fasciae, vessels, calcifications or gas. To
-these were added the needles of 65 volumes of the harder world, and 50 volumes without a needle from
-a lens that is out of focus.
-"""
-
-_SHORTEST, _FARTHEST, _STEEPEST = 10e-3, 8e-3, 0.9
-"""Smallest visible length of a needle and largest distance of its entry from the side of the field
-of view, in m, and largest share of the depth's direction in its own."""
-
-_STREAKS = 3.0
-"""Smallest length of a needle as a multiple of the length to which the beam draws out a point. Far
-from the lens's focus, a single scatterer looks like a short needle across the frames."""
-
-_BESIDE, _UNSEEN, _BORDER_SHARE = 3e-3, 0.4, 0.6
-"""Distance in m at which more than a share of a point's surroundings are unseen if it lies at the
-border of the field of view, and share of such points from which on a line runs along that border.
-Within 1.1 mm of a flat side, 44 % are unseen, and more where two sides meet."""
-
-_STEP = 0.5e-3
-"""Distance between samples along a line, in m."""
-
-_ANGLES = np.pi / 8 * np.arange(16)
-_CIRCLE = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=1)
-_CORE = np.concatenate([np.zeros((1, 2)), 0.6e-3 * _CIRCLE[::4]])
-_RING = np.stack([4e-3 * _CIRCLE, 5.5e-3 * _CIRCLE])
-"""Points of a cross-section that show the needle, and points of sixteen sectors beside it, in m."""
-
-_HALF, _BRIGHTER = 8, 0.1
-"""Number of samples to either side over which a sector's level is averaged, and share of the
-sectors that are brighter than the one with which the line is compared."""
+SHORTEST = 10e-3
+"""Smallest visible length of a needle, in m."""
 
 _PART, _PARALLEL, _SHORTER = 2e-3, math.cos(math.radians(10)), 0.8
 """Largest distance of a line's ends from another of which it is a part, in m, smallest cosine of
 the angle between the two, and largest share of the other's length."""
 
-_CONTRAST = 3.0
-"""Contrast that is evidence neither for nor against a needle, in dB."""
-
-_MAX_EVIDENCE = 6.0
-"""Largest evidence of one sample along a line, in dB."""
-
 
 @dataclass(frozen=True, eq=False)
 class NeedleLine(Immutable):
-    """A straight stretch that looks like a needle.
+    """A straight stretch that may be a needle.
 
     Parameters
     ----------
     ends
         (2, 3) ends in P, in m: the one on the entry's side, and the tip.
-    evidence
-        Integral along the stretch of the evidence for a needle, in dB m. Samples count that are
-        brighter than their surroundings on all sides but one.
-    entry_gap, tip_gap
-        Distances from the sides of the field of view to the first end and to the tip, in m.
     log_odds
         Logarithm of the odds that the line, or the surest part of it, is a needle, judged by this
-        volume alone; -inf if it cannot be one.
+        volume alone.
     """
 
     ends: Floats
-    evidence: float
-    entry_gap: float
-    tip_gap: float
-    log_odds: float = -math.inf
+    log_odds: float
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "ends", read_only(self.ends, "ends", (2, 3)))
@@ -122,125 +66,101 @@ class NeedleLine(Immutable):
         return float(expit(self.log_odds))
 
 
-def _across(ends: Floats) -> tuple[Floats, Floats]:
-    """Return the (3,) unit vector along a line and (2, 3) two across it, the first one level."""
-    x, y, z = (ends[1] - ends[0]).tolist()
-    length, flat = math.hypot(x, y, z), math.hypot(x, z)
-    x, y, z = x / length, y / length, z / length
-    u, w = (z * length / flat, -x * length / flat) if flat > 1e-6 * length else (1.0, 0.0)
-    return np.array([x, y, z]), np.array([[u, 0.0, w], [-y * w, x * w - z * u, y * u]])
+@dataclass(frozen=True, eq=False)
+class Stretches:
+    """Stretches of lines: (n, 2, 3) ends in P, evidence, and distances from the sides in m."""
+
+    ends: Floats
+    evidence: Floats
+    entry_gap: Floats
+    tip_gap: Floats
+
+    def looks(self, volume: Volume) -> dict[str, Floats]:
+        """Return the looks of each; see `line_looks`."""
+        return line_looks(
+            volume,
+            self.ends,
+            evidence=self.evidence,
+            entry_gap=self.entry_gap,
+            tip_gap=self.tip_gap,
+        )
 
 
-def judged(volume: Volume, line: NeedleLine) -> NeedleLine:
-    """Return a line with the logarithm of the odds that it is a needle."""
-    if (
-        line.length < _SHORTEST
-        or line.entry_gap > _FARTHEST
-        or abs(line.direction[1]) > _STEEPEST
-        or line.length < _STREAKS * streak_length(volume, line.ends)
-        or _is_border(volume, line.ends)
-    ):  # fmt: skip
-        return replace(line, log_odds=-math.inf)
-    features = line_features(
-        volume,
-        line.ends,
-        evidence=line.evidence,
-        entry_gap=line.entry_gap,
-        tip_gap=line.tip_gap,
-    )
-    return replace(line, log_odds=sum(w * features[name] for name, w in _WEIGHTS.items()))
+def _frame(ends: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return (n, 3) middles and unit vectors, and (n,) lengths of lines with (n, 2, 3) ends."""
+    along = ends[:, 1] - ends[:, 0]
+    length = np.linalg.norm(along, axis=1)
+    return ends.mean(axis=1), along / length[:, np.newaxis], length
 
 
-def _is_border(volume: Volume, ends: Floats) -> bool:
-    """Return True if a line runs along the border of the field of view."""
-    _, across = _across(ends)
-    points = np.linspace(ends[0], ends[1], 16)[:, np.newaxis]
-    unseen = ~volume.sees(points + _BESIDE * _CIRCLE @ across)
-    return bool(np.mean(unseen.mean(axis=1) > _UNSEEN) >= _BORDER_SHARE)
+def _gaps(seen: NDArray[np.bool_], firsts: NDArray[np.int64], lasts: NDArray[np.int64]) -> Floats:
+    """Return (2, n) lengths in m that are seen before the first and beyond the last bins."""
+    bins = np.arange(BINS)
+    before = np.where(~seen & (bins < firsts[:, np.newaxis]), bins, -1).max(axis=1)
+    beyond = np.where(~seen & (bins > lasts[:, np.newaxis]), bins, BINS).min(axis=1)
+    return BIN * np.array([firsts - 1 - before, beyond - 1 - lasts], dtype=np.float64)
 
 
-def most_evident_line(volume: Volume, ends: Floats) -> NeedleLine | None:
-    """Return the stretch of a line, (2, 3) ends in P, in m, that looks most like a needle."""
-    points, contrast, seen = _contrast_along(volume, ends)
-    first, last, evidence = most_evident_stretch(
-        contrast, seen, step=_STEP, neutral=_CONTRAST, max_evidence=_MAX_EVIDENCE
-    )
-    if last - first < 8:
-        return None
-    before, beyond = _gaps(seen, first, last)
-    stretch = points[[first, last]]
-    if beyond < before:
-        stretch, before, beyond = stretch[::-1], beyond, before
-    return NeedleLine(stretch, evidence, before, beyond)
+def evident_stretches(volume: Volume, ends: Floats) -> Stretches:
+    """Return the most evident stretches of lines, the end nearer to the side first."""
+    middles, k, _ = _frame(ends)
+    contrasts, seen = line_contrasts(volume, middles, k)
+    firsts, lasts, evidence = stretches(contrasts, seen)
+    here = np.flatnonzero(lasts >= firsts)
+    firsts, lasts, seen = firsts[here], lasts[here], seen[here]
+    a = np.stack([MIDDLES[firsts] - BIN / 2, MIDDLES[lasts] + BIN / 2], axis=1)
+    found = middles[here, np.newaxis] + a[..., np.newaxis] * k[here, np.newaxis]
+    before, beyond = _gaps(seen, firsts, lasts)
+    found = np.where((beyond < before)[:, np.newaxis, np.newaxis], found[:, ::-1], found)
+    return Stretches(found, evidence[here], np.minimum(before, beyond), np.maximum(before, beyond))
 
 
-def line_between(volume: Volume, ends: Floats) -> NeedleLine | None:
-    """Judge the stretch between two points, (2, 3) entry and tip in P, in m; None if unseen."""
-    points, contrast, seen = _contrast_along(volume, ends)
-    a = (points - ends[0]) @ (ends[1] - ends[0]) / float(np.linalg.norm(ends[1] - ends[0]))
-    inside = (a >= 0) & (a <= float(np.linalg.norm(ends[1] - ends[0]))) & seen
-    if np.count_nonzero(inside) < 8:
-        return None
-    first, last = np.flatnonzero(inside)[[0, -1]]
-    evidence = _STEP * np.clip(contrast[inside] - _CONTRAST, -_CONTRAST, _MAX_EVIDENCE).sum()
-    return judged(
-        volume,
-        NeedleLine(points[[first, last]], float(evidence), *_gaps(seen, int(first), int(last))),
-    )
+def stretches_between(volume: Volume, ends: Floats) -> tuple[Stretches, NDArray[np.bool_]]:
+    """Return the stretches between (n, 2, 3) entries and tips, and flags of those that are seen."""
+    middles, k, length = _frame(ends)
+    contrasts, seen = line_contrasts(volume, middles, k)
+    inside = (np.abs(MIDDLES) <= 0.5 * length[:, np.newaxis]) & seen
+    firsts, lasts = inside.argmax(axis=1), BINS - 1 - inside[:, ::-1].argmax(axis=1)
+    evidence = np.where(inside, log_ratio(contrasts), 0.0).sum(axis=1)
+    before, beyond = _gaps(seen, firsts, lasts)
+    return Stretches(ends, evidence, before, beyond), inside.sum(axis=1) >= 2
 
 
-def log_odds(volume: Volume, ends: Floats) -> float | None:
-    """Return the log odds that the stretch between two points is a needle, judged by its looks.
+def log_odds(volume: Volume, ends: Floats, *, dark_entry: bool = False) -> Floats:
+    """Return the log odds that stretches are needles, judged by their looks.
 
-    What is dark between the side of the field of view and the stretch does not count: the near part
-    of a needle may be faint. None if the stretch is not seen. ``ends`` are (2, 3) entry and tip in
-    P, in m.
+    Parameters
+    ----------
+    volume
+        Volume with the lines.
+    ends
+        (n, 2, 3) entries and tips in P, in m.
+    dark_entry
+        Whether what is dark between the side of the field of view and the stretch does not count:
+        the near part of a needle may be faint.
+
+    Returns
+    -------
+    (n,) log odds; NaN where a stretch is not seen.
     """
-    line = line_between(volume, ends)
-    if line is None:
-        return None
-    features = line_features(
-        volume, line.ends, evidence=line.evidence, entry_gap=0.0, tip_gap=line.tip_gap
-    )
-    return sum(w * features[name] for name, w in _WEIGHTS.items())
-
-
-def _contrast_along(
-    volume: Volume, ends: Floats
-) -> tuple[Floats, NDArray[np.float64], NDArray[np.bool_]]:
-    """Return (m, 3) points on a line through the grid, their contrasts in dB, and what is seen."""
-    along, across = _across(ends)
-    reach = float(np.linalg.norm(volume.upper - volume.origin))
-    points = ends[0] + np.arange(-reach, reach, _STEP)[:, np.newaxis] * along
-    points = points[np.all((points >= volume.origin) & (points <= volume.upper), axis=1)]
-    core, sides, seen = profile(
-        volume.intensities,
-        volume.seen,
-        volume.index(points),
-        _CORE @ across / volume.spacing,
-        _RING @ across / volume.spacing,
-        _HALF,
-        _BRIGHTER,
-    )
-    if len(points) < 2:
-        return points, core, seen
-    return points, volume.decibels_per_level * uniform_filter1d(core - sides, 3), seen
-
-
-def _gaps(seen: NDArray[np.bool_], first: int, last: int) -> tuple[float, float]:
-    """Return the lengths seen before the first and beyond the last sample of a stretch, in m."""
-    unseen = np.concatenate([[-1], np.flatnonzero(~seen), [len(seen)]])
-    before = first - 1 - unseen[unseen < first].max()
-    beyond = unseen[unseen > last].min() - 1 - last
-    return _STEP * float(before), _STEP * float(beyond)
+    if len(ends) == 0:
+        return np.zeros(0)
+    found, seen = stretches_between(volume, ends)
+    if dark_entry:
+        found = replace(found, entry_gap=np.zeros(len(ends)))
+    return np.where(seen, looks_odds(found.looks(volume)), np.nan)
 
 
 def needle_lines(volume: Volume) -> list[NeedleLine]:
     """Return the lines of a volume that may be needles by their looks, most probable first."""
-    lines = (most_evident_line(volume, fit.ends) for fit in fitted_lines(volume, cells_of(volume)))
-    possible = [judged(volume, line) for line in lines if line is not None]
-    possible = [line for line in possible if line.log_odds > -math.inf]
-    return _whole_needles(sorted(possible, key=lambda line: -line.log_odds))
+    fits = fitted_lines(volume, cells_of(volume))
+    if not fits:
+        return []
+    found = evident_stretches(volume, np.array([fit.ends for fit in fits]))
+    odds = looks_odds(found.looks(volume))
+    lines = [NeedleLine(ends, float(each)) for ends, each in zip(found.ends, odds, strict=True)]
+    lines = [each for each in lines if each.length >= SHORTEST]
+    return _whole_needles(sorted(lines, key=lambda line: -line.log_odds))
 
 
 def _whole_needles(lines: list[NeedleLine]) -> list[NeedleLine]:

@@ -18,7 +18,7 @@ from sonoservo.systems.signals.needle_prediction import NeedlePrediction
 from sonoservo.systems.signals.search_reason import SearchReason
 from sonoservo.systems.signals.volume import Volume
 from sonoservo.systems.tracking.localizer_parameters import NeedleLocalizerParameters
-from sonoservo.systems.tracking.needle_line import line_between, needle_lines
+from sonoservo.systems.tracking.needle_line import log_odds, needle_lines
 from sonoservo.systems.tracking.region_localization import localize_in_region
 from sonoservo.systems.tracking.search_region import (
     line_region,
@@ -123,8 +123,7 @@ def _localize_everywhere(
             continue
         # What was measured must look like a needle, too, over all its length.
         seen = acquired_from(volume, measurement.curve.control_points[[0, -1]])
-        measured = line_between(volume, seen)
-        if measured is not None and measured.log_odds >= 0:
+        if log_odds(volume, seen[np.newaxis])[0] >= 0:
             return attempts, measurement, each.probability
         reason = SearchReason.NOT_ALIKE(" does not look like a needle over all its length")
         first = first or (NotFound(reason), each.probability)

@@ -22,10 +22,10 @@ class RandomScan:
     needle: NeedleCurve | None  # the part in the field of view, in W
 
 
-def random_scan(seed, needle=True):
+def random_scan(seed, needle=True, changes=(), steepest=30):
     """A needle of 20 to 80 mm in view, 0 to 30 deg to the probe's face; balls and fibres."""
     rng = np.random.default_rng([seed, 7])
-    scenario = load_scenario("chatelain2013_fig5", seed=seed)
+    scenario = load_scenario("chatelain2013_fig5", seed=seed, changes=changes)
     geometry = sweep_geometry(load_transducer(scenario.probe), scenario.imaging)
     side = rng.choice([0, geometry.lines - 1])
     inwards = 1 if side == 0 else -1
@@ -34,7 +34,7 @@ def random_scan(seed, needle=True):
         p_PSide = geometry.position(
             frame, side, rng.uniform(15e-3, 65e-3) / geometry.sample_pitch, 1
         )
-        dip, turn = np.deg2rad(rng.uniform(0, 30)), np.deg2rad(rng.uniform(-15, 15))
+        dip, turn = np.deg2rad(rng.uniform(0, steepest)), np.deg2rad(rng.uniform(-15, 15))
         k = np.array(
             [inwards * np.cos(dip) * np.cos(turn), np.sin(dip), np.cos(dip) * np.sin(turn)]
         )

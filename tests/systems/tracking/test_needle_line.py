@@ -11,13 +11,12 @@ from synthetic_volumes import GEOMETRY, Scene, entry_on_side
 from sonoservo.diagrams.app.volumes.locate import locate_in
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.tracking import needle_line as module
-from sonoservo.systems.tracking.line_profile import profile
 from sonoservo.systems.tracking.localizer_parameters import NeedleLocalizerParameters
 from sonoservo.systems.tracking.needle_line import (
     NeedleLine,
-    line_between,
     log_odds,
     needle_lines,
+    stretches_between,
 )
 from sonoservo.systems.tracking.search_region import found_again
 
@@ -51,8 +50,8 @@ def test_the_needle_is_the_most_probable_line():
 def test_a_line_along_the_border_of_the_field_of_view_is_no_needle(frame, lines, depths, possible):
     samples = np.array(depths) / GEOMETRY.sample_pitch
     ends = GEOMETRY.position(frame, np.array(lines), samples, 1)
-    found = line_between(SCENE.volume(1, lambda time: ends), ends)
-    assert np.isfinite(found.log_odds) == possible
+    found = odds(SCENE.volume(1, lambda time: ends), ends)
+    assert (found > 0) == possible
 
 
 def test_a_whole_needle_takes_the_place_of_its_parts():
@@ -60,51 +59,37 @@ def test_a_whole_needle_takes_the_place_of_its_parts():
     part, beside = ENTRY + np.outer([0.0, 0.02], K), NEEDLE + np.array([0.0, 0.01, 0.0])
     sheet = np.array([beside[0], beside[0] + 0.07 * K])
     lines = [
-        NeedleLine(part, 0.1, 0.0, 0.05, log_odds=5.0),
-        NeedleLine(NEEDLE, 0.2, 0.0, 0.04, log_odds=2.0),
-        NeedleLine(beside, 0.2, 0.0, 0.04, log_odds=4.0),
-        NeedleLine(sheet, 0.3, 0.0, 0.01, log_odds=-1.0),
+        NeedleLine(part, log_odds=5.0),
+        NeedleLine(NEEDLE, log_odds=2.0),
+        NeedleLine(beside, log_odds=4.0),
+        NeedleLine(sheet, log_odds=-1.0),
     ]
     steep = NEEDLE[0] + np.outer([0.0, 0.007], K + np.cross(K, [0.0, 0.25, 0.0]))
-    lines.append(NeedleLine(steep, 0.1, 0.0, 0.05, log_odds=9.0))  # near, but not along
+    lines.append(NeedleLine(steep, log_odds=9.0))  # near, but not along
     found = module._whole_needles(sorted(lines, key=lambda line: -line.log_odds))
     assert [each.log_odds for each in found] == [9.0, 5.0, 4.0, -1.0]
     np.testing.assert_array_equal(found[1].ends, NEEDLE)
 
 
-@pytest.mark.parametrize(
-    ("bright", "seen", "side"),
-    [(3, 16, 50.0), (4, 16, 90.0), (1, 9, 50.0), (2, 9, 90.0), (1, 4, 90.0)],
-)
-def test_few_bright_sectors_beside_a_line_count_for_speckle(bright, seen, side):
-    angles = 2 * np.pi / 16 * np.arange(16)
-    x, y = np.indices((31, 31)) - 15
-    sector = np.round(np.arctan2(y, x) / angles[1]).astype(int) % 16
-    section = np.where((np.hypot(x, y) > 5) & (sector < bright), 90.0, 50.0)
-    section[(np.hypot(x, y) > 5) & (sector >= seen)] = 0.0
-    section[15, 15] = 100.0
-    points = np.array([[15.0, 15.0, z] for z in range(2, 18)])
-    ring = 10.0 * np.stack([np.cos(angles), np.sin(angles), np.zeros(16)], axis=1)
-    levels = np.repeat(section[..., np.newaxis], 20, axis=2)
-    line, sides, _ = profile(levels, levels > 0, points, np.zeros((1, 3)), ring[np.newaxis], 3, 0.2)
-    np.testing.assert_allclose(line, 100.0)
-    np.testing.assert_allclose(sides, side)
+def odds(image, ends, **options):
+    return log_odds(image, ends[np.newaxis], **options)[0]
 
 
 def test_a_dark_beginning_does_not_count_against_the_looks_of_a_stretch():
     inside = NEEDLE[1] - np.outer([0.02, 0.0], K)
     image = SCENE.volume(1, lambda time: inside)
-    assert line_between(image, inside).log_odds == -np.inf
-    assert log_odds(image, inside) > log_odds(image, inside + np.array([0.0, 0.01, 0.01])) + 2
-    assert log_odds(image, inside + 1.0) is None
+    found = odds(image, inside, dark_entry=True)
+    assert found > odds(image, inside)
+    assert found > odds(image, inside + np.array([0.0, 0.01, 0.01]), dark_entry=True) + 2
+    assert np.isnan(odds(image, inside + 1.0))
 
 
 def test_a_longer_stretch_than_the_needle_is_less_probable():
-    exact = line_between(volume(), NEEDLE)
-    longer = line_between(volume(), np.array([NEEDLE[0], NEEDLE[0] + 0.07 * K]))
-    assert longer.evidence < exact.evidence
-    assert longer.log_odds < exact.log_odds
-    assert line_between(volume(), NEEDLE + 1.0) is None
+    longer = np.array([NEEDLE[0], NEEDLE[0] + 0.07 * K])
+    found, seen = stretches_between(volume(), np.array([NEEDLE, longer]))
+    assert seen.all()
+    assert found.evidence[1] < found.evidence[0]
+    assert odds(volume(), longer) < odds(volume(), NEEDLE)
 
 
 @pytest.mark.parametrize("needle", [True, False])
@@ -129,7 +114,7 @@ def test_a_bright_sheet_is_no_needle(needle):
 def test_what_starts_inside_or_is_short_is_no_needle(changes):
     ends = ENTRY + np.outer([changes["start"], changes["stop"]], K)
     scene = SCENE.volume(1, lambda time: ends)
-    assert line_between(scene, ends).probability == 0
+    assert odds(scene, ends) < odds(volume(), NEEDLE) - 2
 
 
 def test_the_border_of_dark_tissue_is_no_needle():
@@ -202,7 +187,8 @@ def is_along(line, ends):
 
 @pytest.mark.slow
 def test_a_probability_is_the_share_of_needles():
-    """In 320 volumes of two generators, half of them without a needle, none of them fitted to."""
+    """In 320 volumes, half of them without a needle: own scans of seeds that were not fitted, and
+    images of a generator that was not."""
     stated, right = [], []
     for seed in range(520, 600):
         for needle in (True, False):

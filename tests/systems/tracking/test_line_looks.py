@@ -1,12 +1,12 @@
-"""The features, held against levels that are known exactly."""
+"""What lines look like, held against levels that are known exactly."""
 
 import numpy as np
 import pytest
 from pydrake.math import RigidTransform
 
 from sonoservo.systems.signals.volume import Volume
-from sonoservo.systems.tracking import line_features as module
-from sonoservo.systems.tracking.line_features import line_features
+from sonoservo.systems.tracking import line_looks as module
+from sonoservo.systems.tracking.line_looks import line_looks
 
 PITCH = 0.5e-3
 SHAPE = (101, 81, 61)
@@ -28,8 +28,11 @@ def volume(level):
     )
 
 
-def features(level):
-    return line_features(volume(level), ENDS, evidence=80e-3, entry_gap=4e-3, tip_gap=4e-3)
+def features(level, ends=ENDS):
+    given = {"evidence": [30.0], "entry_gap": [4e-3], "tip_gap": [4e-3]}
+    given = {name: np.array(value) for name, value in given.items()}
+    found = line_looks(volume(level), ends[np.newaxis], **given)
+    return {name: float(value[0]) for name, value in found.items()}
 
 
 def line(below, aside, x=0.0):
@@ -44,7 +47,7 @@ def blur(monkeypatch):
     def choose(*std):
         covariance = np.diag(np.square(std))
         monkeypatch.setattr(
-            module, "echo_covariance", lambda volume, p_P: np.stack(3 * [covariance])
+            module, "echo_covariance", lambda volume, p_P: np.stack(len(p_P) * [covariance])
         )
 
     choose(0.6e-3, 0.6e-3, 0.6e-3)
@@ -54,19 +57,21 @@ def blur(monkeypatch):
 def test_a_line_in_even_tissue_is_narrow_and_alike_on_all_sides(blur):
     found = features(line)
     assert found["width"] < 0.95
-    assert 10 < found["near aside"] == pytest.approx(found["far middle"], abs=0.5)
-    assert found["near least"] == pytest.approx(found["far middle"], abs=0.5)
-    assert found["far above"] == pytest.approx(found["far middle"], abs=0.5)
+    assert found["aside"] < 10 ** (-10 / 20)
+    assert found["around"] == pytest.approx(found["aside"], rel=0.1)
+    assert found["above"] == pytest.approx(found["outside"], rel=0.1)
     assert found["entry gap"] == pytest.approx(0.5)
     assert found["behind"] == found["border"] == found["evidence"] == found["fall"] == 0
     assert found["tip at edge"] == pytest.approx(np.exp(-1))
+    assert found["rim"] == 0
 
 
 def test_a_sheet_is_wide_and_as_bright_beside(blur):
     found = features(lambda below, aside, x: np.where(np.abs(below) < 0.8e-3, LINE, TISSUE))
-    assert found["width"] == 1.15
-    assert found["near aside"] < 3  # a sector is wider than the sheet
-    assert found["far above"] > 10
+    assert found["width"] == pytest.approx(1.4)
+    assert found["aside"] == pytest.approx(found["around"])
+    assert found["aside"] > 0.8
+    assert found["above"] < 0.3
 
 
 @pytest.mark.parametrize(("drop", "border"), [(4.0, 0.0), (8.0, 1.0), (12.0, 4.0), (24.0, 9.0)])
@@ -86,9 +91,7 @@ def test_what_brightens_below_is_behind():
 @pytest.mark.parametrize(("length", "short"), [(35e-3, 0.0), (20e-3, 0.0), (10e-3, 0.5)])
 def test_short_lines_are_told(length, short):
     ends = ENDS[0] + np.outer([0, length], [1.0, 0.0, 0.0])
-    found = line_features(volume(line), ends, evidence=80e-3, entry_gap=0.0, tip_gap=4e-3)
-    assert found["short"] == pytest.approx(short)
-    assert found["entry gap"] == 0
+    assert features(line, ends)["short"] == pytest.approx(short)
 
 
 def test_a_width_is_relative_to_the_larger_blur_across_the_line(blur):
@@ -104,7 +107,6 @@ def test_a_width_says_nothing_where_the_blur_is_unknown():
     assert features(line)["width"] == 1
 
 
-def test_outside_the_field_of_view_counts_neither_way(blur):
-    seen = features(line)
+def test_what_lies_along_the_border_of_the_field_of_view_has_a_rim(blur):
     edge = features(lambda below, aside, x: np.where(aside < 1.5e-3, line(below, aside), 0))
-    assert edge == pytest.approx(seen, abs=0.3)
+    assert 0.3 < edge["rim"] < 0.5

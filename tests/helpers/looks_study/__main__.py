@@ -1,0 +1,42 @@
+"""Command that makes the volumes, fits the weights, and prints them with their score."""
+
+import argparse
+
+import numpy as np
+
+from .fit import fit, score, top_lines
+from .lines import GENERATORS, collect
+
+
+def main(arguments=None):
+    """Fit on two of three seeds, print the weights and their score on the third."""
+    parser = argparse.ArgumentParser(description=main.__doc__)
+    parser.add_argument("--seeds", type=int, default=300)
+    parser.add_argument("--first-seed", type=int, default=1000)
+    parser.add_argument("--verbose", action="store_true", help="print a line for each volume")
+    chosen = parser.parse_args(arguments)
+    seeds = range(chosen.first_seed, chosen.first_seed + chosen.seeds)
+    report(collect(seeds, print if chosen.verbose else lambda line: None))
+
+
+def report(lines):
+    """Print the weights of lines, and the score of those of a third of the seeds."""
+    held_out = lines.made[:, 1] % 3 == 0
+    weights = fit(lines, np.flatnonzero(~held_out))
+    print("_WEIGHTS = {")
+    for name, weight in zip(lines.names, weights, strict=True):
+        print(f'    "{name}": {weight:.2f},')
+    print("}")
+    odds = lines.looks @ np.round(weights, 2)
+    for which in (*range(len(GENERATORS)), None):
+        chosen = held_out if which is None else held_out & (lines.made[:, 0] == which)
+        best = top_lines(lines, odds, np.flatnonzero(chosen))
+        loss, rows = score(odds[best], lines.right[best])
+        name = "both" if which is None else GENERATORS[which]
+        print(f"held out, {name}: log loss {loss:.3f} of {len(best)} volumes")
+        for low, high, stated, right, count in rows:
+            print(f"  {low} to {high}: stated {stated:.2f}, right {right:.2f} of {count}")
+
+
+if __name__ == "__main__":
+    main()

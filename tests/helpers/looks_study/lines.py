@@ -1,0 +1,89 @@
+"""Lines of the study's volumes: their looks, and whether each is the needle."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sonoservo.systems.tracking.cells import cells_of
+from sonoservo.systems.tracking.line_fit import fitted_lines
+from sonoservo.systems.tracking.needle_line import SHORTEST, evident_stretches
+
+from .own_scans import drawn_scan
+from .painted import painted
+
+
+def lies_along(lines, ends):
+    """Flags of (n, 2, 3) lines that lie along a needle, (2, 3) ends, to 3 mm and 10 deg."""
+    length = np.linalg.norm(ends[1] - ends[0])
+    k = (ends[1] - ends[0]) / length
+    points = lines[:, :1] + np.linspace(0, 1, 9)[:, None] * (lines[:, 1:] - lines[:, :1]) - ends[0]
+    away = points - np.clip(points @ k, 0, length)[..., None] * k
+    direction = lines[:, 1] - lines[:, 0]
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    near = np.linalg.norm(away, axis=-1).mean(axis=1) < 3e-3
+    return near & (np.abs(direction @ k) > np.cos(np.radians(10)))
+
+
+@dataclass
+class Lines:
+    """Lines of many volumes, a row each.
+
+    Parameters
+    ----------
+    names
+        Names of the looks.
+    looks
+        (n, f) looks.
+    right
+        (n,) flags of those that are needles.
+    volume
+        (n,) numbers of their volumes.
+    made
+        (v, 3) generator (0 own, 1 painted), seed and whether there is a needle, of each volume.
+    """
+
+    names: list[str]
+    looks: np.ndarray
+    right: np.ndarray
+    volume: np.ndarray
+    made: np.ndarray
+
+
+def cases(generator, seed, needle):
+    """Return a volume of a generator and the ends of its needle in P, each perhaps None."""
+    if generator == "painted":
+        made = painted(seed, needle)
+        return made.volume, made.ends
+    made = drawn_scan(seed, needle)
+    if made is None:
+        return None, None
+    volume = made.volume.at_once()
+    return volume, volume.to_probe(made.needle.control_points[[0, -1]]) if needle else None
+
+
+GENERATORS = ("own", "painted")
+
+
+def collect(seeds, say=lambda line: None):
+    """Return the `Lines` of the volumes of these seeds, with and without a needle."""
+    names, looks, right, number, made = [], [], [], [], []
+    for seed in seeds:
+        for which, generator in enumerate(GENERATORS):
+            for needle in (True, False):
+                volume, ends = cases(generator, seed, needle)
+                fits = fitted_lines(volume, cells_of(volume)) if volume else None
+                if not fits:
+                    continue
+                found = evident_stretches(volume, np.array([fit.ends for fit in fits]))
+                long = np.linalg.norm(found.ends[:, 1] - found.ends[:, 0], axis=1) >= SHORTEST
+                features = found.looks(volume)
+                names = list(features)
+                looks.append(np.stack(list(features.values()), axis=1)[long])
+                along = lies_along(found.ends[long], ends) if needle else np.zeros(long.sum(), bool)
+                right.append(along)
+                number.append(np.full(long.sum(), len(made)))
+                made.append((which, seed, needle))
+                say(f"{generator} {seed} {needle:d}: {along.sum()} of {len(along)} lines")
+    return Lines(
+        names, np.concatenate(looks), np.concatenate(right), np.concatenate(number), np.array(made)
+    )
