@@ -79,11 +79,7 @@ class AxisProfile(Immutable):
         object.__setattr__(self, "seen", read_only(self.seen, "seen", (m,), np.bool_))
 
 
-TIP_IS_SEEN = 0.8
-"""Probability from which on an end counts as the tip."""
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class NeedleExtent(Immutable):
     """Stretch over which a needle is visible along its axis, and where its tip is.
 
@@ -92,12 +88,16 @@ class NeedleExtent(Immutable):
     start, end
         Abscissae between which the needle stands out, in m.
     tip, tip_std
-        Most probable abscissa of the tip and its standard deviation, in m.
-    bevel_std
-        Standard deviation in m of an error that stays as long as the needle is turned as it is: how
-        much of the bevel shows. It is not part of ``tip_std``.
+        Abscissa of the end that is taken for the tip and its standard deviation, in m.
+    hidden_std
+        Standard deviation in m of what is not seen beyond the end: of the bevel, or of a needle
+        that fades. It stays as long as the needle is turned as it is, and is not part of
+        ``tip_std``.
     seen
-        Probability that the tip is seen.
+        Probability that this is the end.
+    elsewhere
+        (c, 3) other places where the needle may end: probabilities, abscissae relative to ``tip``
+        and standard deviations, in m.
     entered
         Abscissa in m at which the axis enters the field of view; -inf if it enters before the
         profile begins.
@@ -112,16 +112,12 @@ class NeedleExtent(Immutable):
     end: float
     tip: float
     tip_std: float
-    bevel_std: float
+    hidden_std: float
     seen: float
+    elsewhere: NDArray[np.float64]
     entered: float
     leaves: bool
     evidence: float
-
-    @property
-    def tip_seen(self) -> bool:
-        """Whether the end in view is taken for the tip."""
-        return self.seen >= TIP_IS_SEEN and not self.leaves
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,6 +1,6 @@
 """Measurement of the needle in one volume."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated
 
 import numpy as np
@@ -31,8 +31,11 @@ class NeedleMeasurement(Immutable):
     X_WP
         Pose of the probe from which the tip was seen; None if unknown.
     tip_seen
-        Whether the end of the curve was seen to be the tip. If not, the needle may go on beyond it.
-    bevel_std
+        Probability that the end of the curve is the tip.
+    elsewhere
+        (c, 3) other places of the tip along the needle: probabilities, distances from the end of
+        the curve and standard deviations, in m. The covariance is that of the first place alone.
+    hidden_std
         Standard deviation along the needle, in m, of an error of the tip that all measurements have
         in common, as long as the needle is turned as it is; not part of the covariance.
     """
@@ -43,12 +46,40 @@ class NeedleMeasurement(Immutable):
     inlier_count: int
     inlier_ratio: Annotated[float, within(0, 1)]
     X_WP: RigidTransform | None = None
-    tip_seen: bool = True
-    bevel_std: float = 0.0
+    tip_seen: Annotated[float, within(0, 1)] = 1.0
+    elsewhere: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
+    hidden_std: float = 0.0
 
     def __post_init__(self) -> None:
         size = 3 * self.curve.order
         object.__setattr__(
             self, "covariance", read_only(self.covariance, "covariance", (size, size))
         )
+        shape = len(self.elsewhere), 3
+        object.__setattr__(self, "elsewhere", read_only(self.elsewhere, "elsewhere", shape))
         check_bounds(self)
+
+    @property
+    def places(self) -> list[tuple[float, NDArray[np.float64], NDArray[np.float64]]]:
+        """Probabilities, (3n,) stacked control points in m and their covariances in m^2, by place.
+
+        The first place is that of the curve. Interior points move with the tip.
+        """
+        points, along = self.curve.control_points.ravel(), self._along
+        found = [(self.tip_seen, points, self.covariance)]
+        for probability, away, std in self.elsewhere:
+            wider = self.covariance + std**2 * np.outer(along, along)
+            found.append((probability, points + away * along, wider))
+        return found
+
+    @property
+    def total_covariance(self) -> NDArray[np.float64]:
+        """(3n, 3n) covariance of the stacked control points over all places of the tip, in m^2."""
+        total = self.tip_seen + self.elsewhere[:, 0].sum()
+        wider = self.elsewhere[:, 0] @ (self.elsewhere[:, 1:] ** 2).sum(axis=1) / total
+        return np.asarray(self.covariance + wider * np.outer(self._along, self._along))
+
+    @property
+    def _along(self) -> NDArray[np.float64]:
+        """(3n,) displacements of the control points for 1 m of the tip along the needle."""
+        return np.kron(np.linspace(0, 1, self.curve.order), self.curve.direction)

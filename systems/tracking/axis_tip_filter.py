@@ -244,4 +244,4 @@ def _axis_and_tip(
     J[:2, 3:] = sense * across / curve.chord
     J[:2, :3] = -J[:2, 3:]
     J[2:, 3:] = np.eye(3)
-    return np.concatenate([deviation, curve.tip]), J @ measurement.covariance @ J.T
+    return np.concatenate([deviation, curve.tip]), J @ measurement.total_covariance @ J.T

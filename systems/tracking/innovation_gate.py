@@ -13,7 +13,7 @@ def innovation_distance(state: NeedleState, measurement: NeedleMeasurement) -> f
     """Return the Mahalanobis distance of a measurement from a state predicted to its time."""
     points = state.curve.control_points.ravel()
     y = measurement.curve.control_points.ravel() - points
-    S = state.covariance[: len(points), : len(points)] + measurement.covariance
+    S = state.covariance[: len(points), : len(points)] + measurement.total_covariance
     return float(np.sqrt(y @ np.linalg.solve(S, y)))
 
 

@@ -188,7 +188,7 @@ class InteractingFilter:
         u, k = np.linspace(0, 1, curve.order), curve.direction
         points, velocities, errors = (slice(i * size, (i + 1) * size) for i in range(3))
         P = np.zeros((3 * size, 3 * size))
-        P[points, points] = (1 - self.constant) * R
+        P[points, points] = measurement.total_covariance - self.constant * R
         P[velocities, velocities] = self.first_drift_std**2 * np.eye(
             size
         ) + self.first_speed_std**2 * np.kron(np.outer(u, u), np.outer(k, k))
@@ -215,7 +215,7 @@ class InteractingFilter:
         if dt <= 0:
             return state
         switch = transition(dt, self._times)
-        fades = np.inf if state.seen.tip_seen else self.unseen_time
+        fades = self.unseen_time / max(1 - state.seen.tip_seen, 1e-9)
         weights = state.weights @ switch
         means, covariances = np.empty_like(state.means), np.empty_like(state.covariances)
         size = state.means.shape[1] // 3
@@ -239,8 +239,7 @@ class InteractingFilter:
         """Return the state corrected by the measured control points (eqs. 12 to 14)."""
         if measurement is None:
             return state
-        z = measurement.curve.control_points.ravel()
-        size = len(z)
+        size = 3 * measurement.curve.order
         # The measured direction jitters. Were the errors along it, an ever larger one along the
         # needle would explain that, and the entry would slide away.
         axis = state.axis + (measurement.curve.direction - state.axis) * _AVERAGED
@@ -251,25 +250,33 @@ class InteractingFilter:
         fades = np.r_[np.ones(2 * size), np.full(size, kept)]
         renewed = np.diag(np.r_[np.zeros(2 * size), np.full(size, 1 - kept**2)])
         C = np.hstack([np.eye(size), np.zeros((size, size)), np.sqrt(self.repeated) * _root(R)])
-        noise = (1 - self.constant - self.repeated) * R
+        known = (self.constant + self.repeated) * R
         means, covariances = np.empty_like(state.means), np.empty_like(state.covariances)
-        fits = np.empty(len(means))
+        # The tip may be at any of its places, so each is tried (Bar-Shalom and Tse 1975).
+        fits = np.empty((len(means), len(measurement.places)))
         for model in range(len(means)):
             mean = fades * state.means[model]
             P = np.outer(fades, fades) * state.covariances[model] + renewed
-            S = C @ P @ C.T + noise
-            y = z - C @ mean
-            fits[model] = -0.5 * (y @ np.linalg.solve(S, y) + np.linalg.slogdet(S)[1])
-            mean, P = update(mean, P, z, noise, C)
+            each = []
+            for place, (probability, z, wide) in enumerate(measurement.places):
+                noise = turned @ wide @ turned.T - known
+                S = C @ P @ C.T + noise
+                y = z - C @ mean
+                fit = -0.5 * (y @ np.linalg.solve(S, y) + np.linalg.slogdet(S)[1])
+                fits[model, place] = fit + math.log(max(probability, 1e-300))
+                each.append(update(mean, P, z, noise, C))
+            shares = np.exp(fits[model] - fits[model].max())
+            mean, P = _mixed(shares / shares.sum(), *map(np.array, zip(*each, strict=True)))
             means[model], covariances[model] = mean, 0.5 * (P + P.T)
-        weights = state.weights * np.exp(fits - fits.max())
+        weights = state.weights[:, np.newaxis] * np.exp(fits - fits.max())
+        weights /= weights.sum()
         return replace(
             state,
             means=means,
             covariances=covariances,
-            weights=weights / weights.sum(),
+            weights=weights.sum(axis=1),
             constant=self._constant(measurement, R),
-            seen=measurement,
+            seen=replace(measurement, tip_seen=float(weights[:, 0].sum())),
             axis=axis,
         )
 
@@ -277,7 +284,7 @@ class InteractingFilter:
         """Return the covariance of the errors that all measurements have in common."""
         k = measurement.curve.direction
         constant = self.constant * R
-        constant[-3:, -3:] += measurement.bevel_std**2 * np.outer(k, k)
+        constant[-3:, -3:] += measurement.hidden_std**2 * np.outer(k, k)
         return constant
 
     def _correlation(self, before: NeedleMeasurement, now: NeedleMeasurement) -> float:

@@ -216,6 +216,7 @@ def _judge(
         inliers,
         ratio,
         volume.X_WP,
-        tip_seen=extent.tip_seen,
-        bevel_std=extent.bevel_std,
+        tip_seen=extent.seen,
+        elsewhere=extent.elsewhere,
+        hidden_std=extent.hidden_std,
     )

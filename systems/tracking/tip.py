@@ -8,15 +8,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
+from scipy.special import ndtr
 
 from sonoservo.systems.sampling.interpolation import flagged, trilinear
 from sonoservo.systems.signals.acquisition import acquired_from
 from sonoservo.systems.signals.immutable import NotFound
-from sonoservo.systems.signals.localization_explanation import (
-    TIP_IS_SEEN,
-    AxisProfile,
-    NeedleExtent,
-)
+from sonoservo.systems.signals.localization_explanation import AxisProfile, NeedleExtent
 from sonoservo.systems.signals.point_spread import FWHM_PER_SIGMA
 from sonoservo.systems.signals.requirements import (
     NotNegative,
@@ -47,11 +44,8 @@ _MIRROR = 16.0, 24.0
 _REACH = 20e-3
 """Mean length in m of what is not seen of a needle, beyond where it was last seen."""
 
-_AGREES = 0.9
-"""Probability that a needle does as predicted from one volume to the next."""
-
-_NEAR = 6e-3
-"""Distance in m within which ends are one end."""
+_NEAR, _PLACES = 6e-3, 3
+"""Distance in m within which ends are one end, and number of ends that are told apart."""
 
 _EMPTY = 15.0
 """Level of the background in dB, below that around the needle, at which there is no tissue."""
@@ -252,12 +246,18 @@ def find_extent(
     if width is None:
         width = np.full(len(contrast), parameters.beam_width or _TYPICAL_WIDTH)
     share = step / np.maximum(width, parameters.smoothing)
-    logs, beyond, mirror = _end_logs(
+    logs, beyond, tops = _end_logs(
         contrast, profile.seen, share, width / FWHM_PER_SIGMA, step, first
     )
-    tip, std, bevel_std, seen = _tip(
-        profile.a, first, logs, beyond, mirror, parameters.bevel_length, expected
-    )
+    places = _places(profile.a, first, logs, beyond)
+    likely = np.log(places[:, 0])
+    if expected is not None:
+        std = np.hypot(places[:, 2], expected[1])
+        likely = likely - np.log(std) - 0.5 * ((places[:, 1] - expected[0]) / std) ** 2
+    # The last place is all that is left.
+    chosen = int(likely[:-1].argmax()) if len(places) > 1 else 0
+    seen, tip, std = places[chosen]
+    top = float(tops[min(np.searchsorted(profile.a, tip), len(tops) - 1)])
     # Outside the tissue nothing scatters, so a needle that enters it in view comes from nowhere.
     around = uniform_filter1d(profile.background, round(_TREND / step))
     empty = around < np.median(around[first : last + 1]) - _EMPTY
@@ -266,10 +266,11 @@ def find_extent(
     return NeedleExtent(
         start=float(profile.a[first]),
         end=float(profile.a[last]),
-        tip=tip,
-        tip_std=std,
-        bevel_std=bevel_std,
-        seen=seen,
+        tip=float(tip),
+        tip_std=float(std),
+        hidden_std=_hidden_std(top, parameters),
+        seen=float(seen),
+        elsewhere=np.delete(places, chosen, axis=0) - [0.0, tip, 0.0],
         entered=float(profile.a[unseen[-1]]) if len(unseen) else -np.inf,
         leaves=bool(after >= len(profile.a) or not profile.seen[after]),
         evidence=evidence,
@@ -281,6 +282,12 @@ def _mixture(contrast: float, mean: float, std: float, rare: float) -> float:  #
     """Return the logarithm of a density in 1/dB with heavy tails."""
     usual = (1 - _RARE) * math.exp(-0.5 * ((contrast - mean) / std) ** 2) / std
     return math.log(usual + _RARE * math.exp(-0.5 * ((contrast - mean) / rare) ** 2) / rare)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _mirror_share(top: float) -> float:  # pragma: no cover - compiled
+    """Return the share to which an end with a contrast in dB before it mirrors sound."""
+    return min(max((top - _MIRROR[0]) / (_MIRROR[1] - _MIRROR[0]), 0.0), 1.0)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -304,12 +311,12 @@ def _end_logs(  # pragma: no cover - compiled
 
     Returns
     -------
-    (m,) log likelihoods, that of a needle which goes on beyond all samples, and (m,) shares to
-    which each end mirrors sound.
+    (m,) log likelihoods, that of a needle which goes on beyond all samples, and (m,) contrasts in dB
+    shortly before each end.
     """
     m = len(contrast)
     needle, nothing = np.zeros(m + 1), np.zeros(m + 1)
-    logs, mirror = np.full(m, -np.inf), np.zeros(m)
+    logs, tops = np.full(m, -np.inf), np.zeros(m)
     length, gap = int(_TREND / step), int(_BEFORE / step)
     for b in range(first, m):
         needle[b + 1], nothing[b + 1] = needle[b], nothing[b]
@@ -332,7 +339,8 @@ def _end_logs(  # pragma: no cover - compiled
             top += contrast[e]
             count += 1
         top /= count
-        mirror[t] = min(max((top - _MIRROR[0]) / (_MIRROR[1] - _MIRROR[0]), 0.0), 1.0)
+        tops[t] = top
+        mirror = _mirror_share(top)
         begin, end = t - int(sigma[t] / step), min(t + int(3 * sigma[t] / step), m - 1)
         begin = max(begin, first)
         log = needle[begin] + nothing[m] - nothing[end + 1]
@@ -343,55 +351,54 @@ def _end_logs(  # pragma: no cover - compiled
                 x = (b - t) * step / sigma[t]
                 amplitude = math.log(max(0.5 * math.erfc(x / math.sqrt(2)), 1e-9))
                 intensity = 0.5 * math.log(max(0.5 * math.erfc(x), 1e-9))
-                drop = mirror[t] * amplitude + (1 - mirror[t]) * intensity
+                drop = mirror * amplitude + (1 - mirror) * intensity
                 left = 10 * math.log10(1 + 10 ** (top / 10) * math.exp(2 * drop))
                 log += share[b] * _mixture(contrast[b], left, std, _RARE_SPREAD * std)
         logs[t] = log
-    return logs, needle[m], mirror
+    return logs, needle[m], tops
 
 
-def _tip(
-    a: NDArray[np.float64],
-    first: int,
-    logs: NDArray[np.float64],
-    beyond: float,
-    mirror: NDArray[np.float64],
-    bevel_length: float,
-    expected: tuple[float, float] | None,
-) -> tuple[float, float, float, float]:
-    """Return abscissa of the tip, its deviation, that of the bevel, and how probably it is seen.
 
-    Lengths are in m. The tip is seen if it lies near the end that the contrasts alone make most
-    probable. If that is not probable, its deviation is that of all places where it may be.
+def _places(
+    a: NDArray[np.float64], first: int, logs: NDArray[np.float64], beyond: float
+) -> NDArray[np.float64]:
+    """Return the places where the tip may be: (c, 3) probabilities, abscissae and deviations in m.
+
+    The most probable ones come first, and all that is left last.
     """
     step, top = float(a[1] - a[0]), max(float(logs.max()), beyond)
     farther = (a - a[first]) / _REACH
     weights = np.exp(logs - top - farther) * (step / _REACH)
     rest, rest_at = math.exp(beyond - top - farther[-1]), float(a[-1]) + _REACH
-
-    near = round(_NEAR / step)
-
-    def most_probable(weights: NDArray[np.float64]) -> slice:
+    total, near = weights.sum() + rest, round(_NEAR / step)
+    weights, rest = weights / total, rest / total
+    places = []
+    for _ in range(_PLACES):
         middle = int(np.convolve(weights, np.ones(2 * near + 1), "same").argmax())
-        return slice(max(middle - near, 0), middle + near + 1)
+        here = slice(max(middle - near, 0), middle + near + 1)
+        probability = weights[here].sum()
+        if probability > 0:
+            # The posterior is skewed: a flank may fade, and nothing begins before it.
+            tip = a[here][weights[here].argmax()]
+            variance = weights[here] @ ((a[here] - tip) ** 2 + step**2) / probability
+            places.append((probability, tip, math.sqrt(variance)))
+        weights[here] = 0
+    left = weights.sum() + rest
+    if left > 0:
+        mean = (weights @ a + rest * rest_at) / left
+        variance = (weights @ (a - mean) ** 2 + rest * ((rest_at - mean) ** 2 + _REACH**2)) / left
+        places.append((left, mean, math.sqrt(variance + step**2)))
+    return np.array(places)
 
-    end = most_probable(weights)
-    agreeing, disagreeing = weights, rest
-    if expected is not None:
-        at, std = expected[0], math.hypot(expected[1], 0.5 * bevel_length)
-        density = np.exp(-0.5 * ((a - at) / std) ** 2) / (math.sqrt(2 * math.pi) * std)
-        agreeing = weights * (1 - _AGREES + _AGREES * density * _REACH * np.exp(farther))
-        disagreeing = rest * (1 - _AGREES)
-    here = most_probable(agreeing)
-    # The posterior is skewed: a flank may fade, and nothing begins before it.
-    tip = float(a[here][agreeing[here].argmax()])
-    # A rough end may be that of the shaft or of the bevel; a mirror's is that of the bevel.
-    rough = float(weights[end] @ (1 - mirror[end]) / weights[end].sum())
-    hidden = rough * bevel_length / math.sqrt(3)
-    seen = float(agreeing[end].sum() / (agreeing.sum() + disagreeing))
-    spread = weights * ((a - tip) ** 2 + step**2)
-    if seen >= TIP_IS_SEEN:
-        return tip, math.sqrt(spread[end].sum() / weights[end].sum()), hidden, seen
-    # What was expected is no evidence, so the deviation is that of the contrasts alone.
-    far = rest * ((rest_at - tip) ** 2 + _REACH**2)
-    return tip, math.sqrt((spread.sum() + far) / (weights.sum() + rest)), hidden, seen
+
+def _hidden_std(top: float, parameters: TipParameters) -> float:
+    """Return the deviation in m of what is not seen of a needle beyond an end.
+
+    A rough end, with a contrast of ``top`` dB before it, may be that of the shaft or of the bevel;
+    a mirror's is that of the bevel. A needle that is hardly brighter than the tissue may go on
+    unseen, as its level changes along it.
+    """
+    level = max(top, 0.0)
+    unseen = ndtr((parameters.contrast - level) / (_NOTHING + _SPREAD * min(level, 16.0)))
+    rough = 1 - _mirror_share(top)
+    return math.sqrt(rough * parameters.bevel_length**2 / 3 + 2 * unseen * _REACH**2)

@@ -12,7 +12,6 @@ from sonoservo.systems.evaluation.explanation.explained_volume import ExplainedV
 from sonoservo.systems.evaluation.explanation.explanation_recorder import AFTER, BEFORE
 from sonoservo.systems.evaluation.log import Array
 from sonoservo.systems.signals.confidence import squared_distance
-from sonoservo.systems.signals.localization_explanation import TIP_IS_SEEN
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_estimate import TrackingMode
 
@@ -79,7 +78,7 @@ def describe(explained: ExplainedVolume, tip_error: float = np.nan) -> str:
         facts.append(f"innovation {explained.innovation:.1f}, gate {explained.gate:.1f}")
     if explained.leaves:
         facts.append("the needle extends beyond the region searched, so its tip was not seen")
-    if explained.tip_seen < TIP_IS_SEEN:
+    if np.isfinite(explained.tip_seen):
         facts.append(f"its tip is seen with a probability of {100 * explained.tip_seen:.0f} %")
     if len(explained.attempt_reasons) > 1:
         facts.append(f"{len(explained.attempt_reasons)} searches, the deciding one shown")

@@ -123,7 +123,7 @@ def test_models_are_left_after_their_time_for_each_other_alike(dt, times):
 
 def test_a_needle_whose_tip_is_not_seen_comes_to_rest():
     pushed = [measurement(k, 0.02 + 8e-3 * PERIOD * k) for k in range(8)]
-    unseen = [*pushed[:-1], dataclasses.replace(pushed[-1], tip_seen=False)]
+    unseen = [*pushed[:-1], dataclasses.replace(pushed[-1], tip_seen=0.0)]
     seen, hidden = follow(pushed), follow(unseen)
     later = [FILTER.predict(each, seen.time + 2 * FILTER.unseen_time) for each in (seen, hidden)]
     speeds = [each.velocity[1, 0] for each in later]
