@@ -29,8 +29,6 @@ class SearchRegion(Immutable):
         Largest angle between the needle and the curve, in rad.
     entry
         (3,) position of the entry in W, in m; None if it is unknown.
-    tip_std
-        Standard deviation of the tip that is expected there, along the curve, in m.
     """
 
     curve: NeedleCurve
@@ -40,7 +38,6 @@ class SearchRegion(Immutable):
     shaft_beyond: float
     max_angle: float
     entry: NDArray[np.float64] | None = None
-    tip_std: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,11 +10,14 @@ from sonoservo.systems.tracking.needle_filter import NeedleState
 
 
 def innovation_distance(state: NeedleState, measurement: NeedleMeasurement) -> float:
-    """Return the Mahalanobis distance of a measurement from a state predicted to its time."""
+    """Return the Mahalanobis distance of a measurement from a state predicted to its time.
+
+    It is that of the nearest of the places where the tip may be.
+    """
     points = state.curve.control_points.ravel()
-    y = measurement.curve.control_points.ravel() - points
-    S = state.covariance[: len(points), : len(points)] + measurement.total_covariance
-    return float(np.sqrt(y @ np.linalg.solve(S, y)))
+    P = state.covariance[: len(points), : len(points)]
+    away = [(z - points, P + R) for _, z, R in measurement.places]
+    return float(np.sqrt(min(y @ np.linalg.solve(S, y) for y, S in away)))
 
 
 @lru_cache

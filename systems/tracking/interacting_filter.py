@@ -276,7 +276,7 @@ class InteractingFilter:
             covariances=covariances,
             weights=weights.sum(axis=1),
             constant=self._constant(measurement, R),
-            seen=replace(measurement, tip_seen=float(weights[:, 0].sum())),
+            seen=replace(measurement, tip_seen=min(float(weights[:, 0].sum()), 1.0)),
             axis=axis,
         )
 

@@ -42,25 +42,25 @@ field of view to the ends."""
 
 
 _WEIGHTS = {
-    "constant": 1.21,
-    "evidence": 1.89,
-    "short": -4.79,
-    "streak": -6.50,
-    "fall": 2.26,
-    "entry gap": -0.47,
-    "tip at edge": -3.05,
-    "width": 1.90,
-    "aside": 2.35,
-    "around": -25.33,
-    "above": 1.21,
-    "outside": 15.61,
-    "behind": -0.41,
-    "border": -1.18,
-    "rim": -14.20,
+    "constant": 2.08,
+    "evidence": 1.10,
+    "short": -1.61,
+    "streak": -11.76,
+    "fall": 2.27,
+    "entry gap": -0.45,
+    "tip at edge": -2.35,
+    "width": 2.24,
+    "aside": 3.62,
+    "around": -26.70,
+    "above": 1.63,
+    "outside": 13.36,
+    "behind": -0.72,
+    "border": -1.44,
+    "rim": -11.03,
 }
 """Weights of a line's looks in the logarithm of the odds that it is a needle, if every second
 volume has one: a logistic regression on the likeliest lines of own scans and painted images, seeds
-1000 to 1074, two of three, made and fitted by ``python -m looks_study`` (tests/helpers)."""
+1000 to 1299, two of three, made and fitted by ``python -m looks_study`` (tests/helpers)."""
 
 
 def line_looks(

@@ -119,13 +119,12 @@ def _extent(
 ) -> NeedleExtent:
     """Find the points at which the needle begins and ends along an axis."""
     ends = np.sort(fit.axis.abscissa(region.curve.control_points[[0, -1]]))
-    expected = None if region.entry is None else (float(ends[1]), region.tip_std)
     # A needle that was thrown forwards goes on beyond the region.
     for beyond in (region.beyond, EVERYWHERE):
         start, stop = ends[0] - region.before, ends[1] + beyond
         profile: AxisProfile = axis_profile(volume, fit.axis, start, stop, parameters.tip)
         looked.update(profile=profile, extent=None)
-        extent = _expect(find_extent(profile, parameters.tip, expected))
+        extent = _expect(find_extent(profile, parameters.tip))
         looked.update(extent=extent)
         if region.entry is None or not (extent.leaves and profile.seen[-1]):
             break
@@ -216,7 +215,7 @@ def _judge(
         inliers,
         ratio,
         volume.X_WP,
-        tip_seen=extent.seen,
+        tip_seen=min(extent.seen, 1.0),
         elsewhere=extent.elsewhere,
         hidden_std=extent.hidden_std,
     )

@@ -49,7 +49,6 @@ def predicted_region(
         before=margin,
         shaft_beyond=min(along, margin),
         beyond=min(3 * along + margin, 3 * parameters.max_radius),
-        tip_std=along,
         max_angle=min(
             math.radians(parameters.max_angle_deg) + math.atan2(3 * across, max(curve.chord, 1e-3)),
             math.pi / 2,

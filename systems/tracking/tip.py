@@ -206,9 +206,7 @@ def most_evident_stretch(
     return first, last, float(evidence[first : last + 1].sum()) * step
 
 
-def find_extent(
-    profile: AxisProfile, parameters: TipParameters, expected: tuple[float, float] | None = None
-) -> NeedleExtent | NotFound:
+def find_extent(profile: AxisProfile, parameters: TipParameters) -> NeedleExtent | NotFound:
     """Find the ends of a needle along its axis (Chatelain 2013, end of section II-D).
 
     The needle begins where the `most_evident_stretch` does. Its tip is a change point: up to there
@@ -221,9 +219,6 @@ def find_extent(
         Profile of the intensity along the axis.
     parameters
         What is known of the beam and the tip.
-    expected
-        Abscissa at which the tip is expected and its standard deviation, in m. None for a new
-        needle.
 
     Returns
     -------
@@ -250,13 +245,7 @@ def find_extent(
         contrast, profile.seen, share, width / FWHM_PER_SIGMA, step, first
     )
     places = _places(profile.a, first, logs, beyond)
-    likely = np.log(places[:, 0])
-    if expected is not None:
-        std = np.hypot(places[:, 2], expected[1])
-        likely = likely - np.log(std) - 0.5 * ((places[:, 1] - expected[0]) / std) ** 2
-    # The last place is all that is left.
-    chosen = int(likely[:-1].argmax()) if len(places) > 1 else 0
-    seen, tip, std = places[chosen]
+    seen, tip, std = places[0]
     top = float(tops[min(np.searchsorted(profile.a, tip), len(tops) - 1)])
     # Outside the tissue nothing scatters, so a needle that enters it in view comes from nowhere.
     around = uniform_filter1d(profile.background, round(_TREND / step))
@@ -270,7 +259,7 @@ def find_extent(
         tip_std=float(std),
         hidden_std=_hidden_std(top, parameters),
         seen=float(seen),
-        elsewhere=np.delete(places, chosen, axis=0) - [0.0, tip, 0.0],
+        elsewhere=places[1:] - [0.0, tip, 0.0],
         entered=float(profile.a[unseen[-1]]) if len(unseen) else -np.inf,
         leaves=bool(after >= len(profile.a) or not profile.seen[after]),
         evidence=evidence,

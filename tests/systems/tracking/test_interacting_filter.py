@@ -121,9 +121,23 @@ def test_models_are_left_after_their_time_for_each_other_alike(dt, times):
     np.testing.assert_allclose(times @ switch, times)  # as many as there are on average
 
 
+def test_of_two_places_the_tip_is_at_that_which_was_predicted():
+    """The more probable one, by what a volume shows, may be the wrong one."""
+    pushed = [measurement(k, 0.02 + 5e-3 * PERIOD * k) for k in range(8)]
+    state = follow(pushed)
+    truth = 0.02 + 5e-3 * PERIOD * 8
+    short = dataclasses.replace(
+        measurement(8, truth - 12e-3), tip_seen=0.8, elsewhere=np.array([[0.2, 12e-3, 1e-3]])
+    )
+    predicted = FILTER.predict(state, short.time)
+    assert innovation_distance(predicted, short) < gate_distance(0.9999, 2)
+    assert FILTER.update(predicted, short, None).curve.tip[0] == pytest.approx(truth, abs=0.3e-3)
+
+
 def test_a_needle_whose_tip_is_not_seen_comes_to_rest():
     pushed = [measurement(k, 0.02 + 8e-3 * PERIOD * k) for k in range(8)]
-    unseen = [*pushed[:-1], dataclasses.replace(pushed[-1], tip_seen=0.0)]
+    somewhere = np.array([[1.0, 0.0, 20e-3]])
+    unseen = [*pushed[:-1], dataclasses.replace(pushed[-1], tip_seen=0.0, elsewhere=somewhere)]
     seen, hidden = follow(pushed), follow(unseen)
     later = [FILTER.predict(each, seen.time + 2 * FILTER.unseen_time) for each in (seen, hidden)]
     speeds = [each.velocity[1, 0] for each in later]

@@ -254,11 +254,11 @@ def faded(length, beyond):
     return dataclasses.replace(shown, intensities=grey.astype(np.uint8))
 
 
-def test_a_needle_that_fades_ends_where_it_was_expected():
+def test_a_needle_that_fades_may_go_on_to_where_it_was():
     found = run(faded(0.05, beyond=0.015), expected(needle(0.05)))
-    assert not found.tip_seen
-    assert np.linalg.norm(found.curve.tip - needle(0.05)[1]) < 1.5e-3
-    assert K @ found.covariance[-3:, -3:] @ K > (9e-3) ** 2
+    beyond = (needle(0.05)[1] - found.curve.tip) @ K
+    assert beyond > 10e-3
+    assert any(abs(beyond - away) < 2 * std for _, away, std in found.elsewhere)
 
 
 def test_too_little_of_a_needle_does_not_show_that_it_turned():

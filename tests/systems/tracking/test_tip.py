@@ -47,7 +47,7 @@ def test_the_blurred_end_of_a_mirror_is_the_tip(tip):
 def test_a_rough_end_may_be_that_of_shaft_or_bevel():
     rough, mirror = (find_extent(profile(0.03, level), PARAMETERS) for level in (10.0, 34.0))
     assert rough.tip == pytest.approx(0.03, abs=0.8e-3)
-    assert rough.hidden_std == pytest.approx(PARAMETERS.bevel_length / np.sqrt(3), rel=0.05)
+    assert rough.hidden_std > PARAMETERS.bevel_length / np.sqrt(3)
     assert mirror.hidden_std < 0.2e-3
 
 
@@ -183,20 +183,6 @@ def test_the_longer_a_needle_fades_the_less_is_known_about_its_tip():
     ends = [find_extent(faded(0.03, length), PARAMETERS) for length in lengths]
     assert ends[0].tip_std < ends[1].tip_std < ends[2].tip_std
     assert ends[0].seen > 0.9 > ends[2].seen
-
-
-@pytest.mark.parametrize("tip", [0.035, 0.045])
-def test_where_a_needle_has_faded_it_ends_where_it_is_expected_as_well(tip):
-    """The contrasts alone leave both open, so the deviation covers both."""
-    needle = faded(0.03, 0.02)
-    extent = find_extent(needle, PARAMETERS, (tip, 1e-3))
-    assert extent.tip == pytest.approx(tip, abs=3e-3)
-    assert extent.tip_std > 5e-3
-
-
-def test_an_abrupt_end_is_the_tip_whatever_was_expected():
-    extent = find_extent(profile(0.03, 25.0), PARAMETERS, (0.06, 1e-3))
-    assert extent.tip == pytest.approx(0.03, abs=1e-3)
 
 
 def test_stated_deviations_hold_the_tips_of_needles_that_fade_at_random():
