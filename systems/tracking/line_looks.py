@@ -42,25 +42,26 @@ field of view to the ends."""
 
 
 _WEIGHTS = {
-    "constant": 2.08,
-    "evidence": 1.10,
-    "short": -1.61,
-    "streak": -11.76,
-    "fall": 2.27,
-    "entry gap": -0.45,
-    "tip at edge": -2.35,
-    "width": 2.24,
-    "aside": 3.62,
-    "around": -26.70,
-    "above": 1.63,
-    "outside": 13.36,
-    "behind": -0.72,
-    "border": -1.44,
-    "rim": -11.03,
+    "constant": 0.89,
+    "evidence": 1.84,
+    "short": -2.91,
+    "streak": -9.78,
+    "fall": 3.78,
+    "entry gap": -0.38,
+    "tip at edge": -3.37,
+    "width": 2.22,
+    "aside": 0.05,
+    "around": -26.20,
+    "above": 3.94,
+    "outside": 14.99,
+    "behind": -0.25,
+    "border": -2.56,
+    "rim": -8.01,
 }
-"""Weights of a line's looks in the logarithm of the odds that it is a needle, if every second
-volume has one: a logistic regression on the likeliest lines of own scans and painted images, seeds
-1000 to 1299, two of three, made and fitted by ``python -m looks_study`` (tests/helpers)."""
+"""Weights of a line's looks in the logarithm of the odds that it is the needle of a volume, rather
+than that there is none, if every second volume has one. They are those of a conditional logit (a
+volume has one needle or none) on the lines of own scans and painted images, seeds 1000 to 1219, two
+of three, made and fitted by ``python -m looks_study`` (tests/helpers)."""
 
 
 def line_looks(
@@ -166,5 +167,5 @@ def _relative_width(blur: Floats | None, section: Floats) -> Floats | float:
 
 
 def looks_odds(looks: dict[str, Floats]) -> Floats:
-    """Return the (n,) log odds that lines with these looks are needles."""
+    """Return the (n,) log odds that each line is the needle, rather than that there is none."""
     return np.asarray(sum(weight * looks[name] for name, weight in _WEIGHTS.items()))

@@ -81,7 +81,7 @@ class NeedleLocalizerParameters(Bounded):
     min_share: Positive = 0.4
     min_shaft: Positive = 8e-3
     search_reach: Positive = 40e-3
-    min_probability: Positive = 0.8
+    min_probability: Positive = 0.5
     min_inlier_ratio: Positive = 0.15
     min_evidence: Positive = 12e-3
     correlation_length: Positive = 2e-3

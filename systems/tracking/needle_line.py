@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import expit
+from scipy.special import logsumexp
 
 from sonoservo.systems.signals.immutable import Immutable, read_only
 from sonoservo.systems.signals.volume import Volume
@@ -26,9 +26,9 @@ Floats = NDArray[np.float64]
 SHORTEST = 10e-3
 """Smallest visible length of a needle, in m."""
 
-_PART, _PARALLEL, _SHORTER = 2e-3, math.cos(math.radians(10)), 0.8
-"""Largest distance of a line's ends from another of which it is a part, in m, smallest cosine of
-the angle between the two, and largest share of the other's length."""
+_ALONG, _PARALLEL = 3e-3, math.cos(math.radians(10))
+"""Mean distance in m of a line from another along which it lies, and cosine of the angle between
+them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,13 +39,12 @@ class NeedleLine(Immutable):
     ----------
     ends
         (2, 3) ends in P, in m: the one on the entry's side, and the tip.
-    log_odds
-        Logarithm of the odds that the line, or the surest part of it, is a needle, judged by this
-        volume alone.
+    probability
+        Probability that the line, or a part of it, is the needle, judged by this volume alone.
     """
 
     ends: Floats
-    log_odds: float
+    probability: float
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "ends", read_only(self.ends, "ends", (2, 3)))
@@ -59,12 +58,6 @@ class NeedleLine(Immutable):
     def direction(self) -> Floats:
         """(3,) unit vector from the entry's side to the tip, in P."""
         return np.asarray((self.ends[1] - self.ends[0]) / self.length)
-
-    @property
-    def probability(self) -> float:
-        """Probability that the line is a needle."""
-        return float(expit(self.log_odds))
-
 
 @dataclass(frozen=True, eq=False)
 class Stretches:
@@ -141,7 +134,7 @@ def log_odds(volume: Volume, ends: Floats, *, dark_entry: bool = False) -> Float
 
     Returns
     -------
-    (n,) log odds; NaN where a stretch is not seen.
+    (n,) log odds that each is the needle rather than that there is none; NaN where it is not seen.
     """
     if len(ends) == 0:
         return np.zeros(0)
@@ -152,34 +145,46 @@ def log_odds(volume: Volume, ends: Floats, *, dark_entry: bool = False) -> Float
 
 
 def needle_lines(volume: Volume) -> list[NeedleLine]:
-    """Return the lines of a volume that may be needles by their looks, most probable first."""
+    """Return the lines of a volume that may be needles by their looks, most probable first.
+
+    At most one line is the needle, so the more there are that look like one, the less probable each
+    is.
+    """
     fits = fitted_lines(volume, cells_of(volume))
     if not fits:
         return []
     found = evident_stretches(volume, np.array([fit.ends for fit in fits]))
-    odds = looks_odds(found.looks(volume))
-    lines = [NeedleLine(ends, float(each)) for ends, each in zip(found.ends, odds, strict=True)]
-    lines = [each for each in lines if each.length >= SHORTEST]
-    return _whole_needles(sorted(lines, key=lambda line: -line.log_odds))
+    long = np.linalg.norm(found.ends[:, 1] - found.ends[:, 0], axis=1) >= SHORTEST
+    ends, odds = found.ends[long], looks_odds(found.looks(volume))[long]
+    return _needles(ends, odds)
 
 
-def _whole_needles(lines: list[NeedleLine]) -> list[NeedleLine]:
-    """Return lines, most probable first, without those that are parts of others.
+def _needles(ends: Floats, odds: Floats) -> list[NeedleLine]:
+    """Return lines, most probable first, each with all the others along it.
 
-    A part of a needle that fades may look more like one than the whole, which then is as sure.
+    Several lines, and parts of them, may lie along one needle: their probabilities add up. The one
+    that is likely itself and has the others along it stands for all.
+
+    Parameters
+    ----------
+    ends, odds
+        (n, 2, 3) ends in P, in m, and (n,) logarithms of the odds that each line is the needle
+        rather than that there is none.
     """
-    ends = np.array([each.ends for each in lines]).reshape(-1, 2, 3)
-    lengths = np.array([each.length for each in lines])
-    odds = np.array([each.log_odds for each in lines])
-    surest, parts = odds.copy(), np.zeros(len(lines), bool)
-    for n, line in enumerate(lines):
-        if line.log_odds >= 0:
-            k, from_start = line.direction, ends - line.ends[0]
-            along = np.clip(from_start @ k, 0, line.length)
-            away = np.linalg.norm(from_start - along[..., np.newaxis] * k, axis=-1).max(axis=1)
-            parallel = (ends[:, 1] - ends[:, 0]) @ k >= _PARALLEL * lengths
-            here = parallel & (away <= _PART) & (lengths < _SHORTER * line.length)
-            surest[n] = max(surest[n], odds[here].max(initial=-math.inf))
-            parts |= here
-    order = np.argsort(-surest, kind="stable")
-    return [replace(lines[n], log_odds=float(surest[n])) for n in order if not parts[n]]
+    middles, k, lengths = _frame(ends)
+    probabilities = np.exp(odds - logsumexp(np.append(odds, 0.0)))
+    # (n, m, 9, 3) differences of points along the second lines and the middles of the first.
+    points = np.linspace(ends[:, 0], ends[:, 1], 9, axis=1)
+    away = points - middles[:, np.newaxis, np.newaxis]
+    reach = 0.5 * lengths[:, np.newaxis, np.newaxis]
+    a = np.clip(np.einsum("nmpi,ni->nmp", away, k), -reach, reach)
+    away = np.linalg.norm(away - a[..., np.newaxis] * k[:, np.newaxis, np.newaxis], axis=-1)
+    along = (away.mean(axis=-1) < _ALONG) & (np.abs(k @ k.T) > _PARALLEL)
+    lines, left = [], np.ones(len(ends), bool)
+    while left.any():
+        together = (along & left) @ probabilities
+        first = int(np.where(left, probabilities * together, -1.0).argmax())
+        lines.append(NeedleLine(ends[first], min(float(together[first]), 1.0)))
+        left &= ~(along[first] | along[:, first])
+        left[first] = False
+    return sorted(lines, key=lambda line: -line.probability)

@@ -4,7 +4,7 @@ import argparse
 
 import numpy as np
 
-from .fit import fit, score, top_lines
+from .fit import fit, probabilities, score
 from .lines import GENERATORS, collect
 
 
@@ -27,15 +27,19 @@ def report(lines):
     for name, weight in zip(lines.names, weights, strict=True):
         print(f'    "{name}": {weight:.2f},')
     print("}")
-    odds = lines.looks @ np.round(weights, 2)
+    p, none = probabilities(lines.looks @ np.round(weights, 2), lines.volume, len(lines.made))
+    # The fits of one needle share its probability, and it is found if one of them is the likeliest.
+    needle = np.bincount(lines.volume, p * lines.right, len(none))
+    other = np.zeros(len(none))
+    np.maximum.at(other, lines.volume, p * ~lines.right)
+    stated, right = np.maximum(needle, other), needle > other
     for which in (*range(len(GENERATORS)), None):
         chosen = held_out if which is None else held_out & (lines.made[:, 0] == which)
-        best = top_lines(lines, odds, np.flatnonzero(chosen))
-        loss, rows = score(odds[best], lines.right[best])
+        loss, rows = score(stated[chosen], right[chosen])
         name = "both" if which is None else GENERATORS[which]
-        print(f"held out, {name}: log loss {loss:.3f} of {len(best)} volumes")
-        for low, high, stated, right, count in rows:
-            print(f"  {low} to {high}: stated {stated:.2f}, right {right:.2f} of {count}")
+        print(f"held out, {name}: log loss {loss:.3f} of {chosen.sum()} volumes")
+        for low, high, mean, share, count in rows:
+            print(f"  {low} to {high}: stated {mean:.2f}, right {share:.2f} of {count}")
 
 
 if __name__ == "__main__":

@@ -159,7 +159,8 @@ class Canvas:
         """Return the blurred, log-compressed volume with its needle."""
         rng = self.rng
         names = ["sheet", "sheet", "tube", "bone", "grain", "grain", "border", "fibres"]
-        for name in rng.choice(names, rng.integers(0, 7)):
+        count = rng.integers(1, 7) if rng.random() < 0.5 else 0
+        for name in rng.choice(names, count):
             getattr(self, name)()
         ends = self.needle() if needle else None
         noise = rng.normal(size=(4, *SHAPE)).astype(np.float32)
