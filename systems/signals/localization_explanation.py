@@ -59,6 +59,9 @@ class AxisProfile(Immutable):
     contrast
         Level over the background that speaks neither for nor against a needle, in dB; None if
         unknown.
+    incidence
+        (m,) angles in rad by which the sound's direction differs from a right angle to the axis;
+        None if unknown.
     """
 
     a: NDArray[np.float64]
@@ -68,6 +71,7 @@ class AxisProfile(Immutable):
     seen: NDArray[np.bool_]
     beam_width: NDArray[np.float64] | None = None
     contrast: float | None = None
+    incidence: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         m = len(self.a)

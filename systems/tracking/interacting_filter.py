@@ -283,8 +283,11 @@ class InteractingFilter:
     def _constant(self, measurement: NeedleMeasurement, R: Floats) -> Floats:
         """Return the covariance of the errors that all measurements have in common."""
         k = measurement.curve.direction
+        # What is not seen goes on along the needle, whose direction is not known exactly.
+        span = np.kron([1.0, *np.zeros(measurement.curve.order - 2), -1.0], np.eye(3))
+        turns = span @ R @ span.T / measurement.curve.chord**2
         constant = self.constant * R
-        constant[-3:, -3:] += measurement.hidden_std**2 * np.outer(k, k)
+        constant[-3:, -3:] += measurement.hidden_std**2 * (np.outer(k, k) + turns)
         return constant
 
     def _correlation(self, before: NeedleMeasurement, now: NeedleMeasurement) -> float:

@@ -42,25 +42,25 @@ field of view to the ends."""
 
 
 _WEIGHTS = {
-    "constant": 0.89,
-    "evidence": 1.84,
-    "short": -2.91,
-    "streak": -9.78,
-    "fall": 3.78,
-    "entry gap": -0.38,
-    "tip at edge": -3.37,
-    "width": 2.22,
-    "aside": 0.05,
-    "around": -26.20,
-    "above": 3.94,
-    "outside": 14.99,
-    "behind": -0.25,
-    "border": -2.56,
-    "rim": -8.01,
+    "constant": 1.46,
+    "evidence": 1.43,
+    "short": -2.08,
+    "streak": -11.61,
+    "fall": 3.39,
+    "entry gap": -0.41,
+    "tip at edge": -3.00,
+    "width": 2.35,
+    "aside": 0.18,
+    "around": -25.89,
+    "above": 2.81,
+    "outside": 14.71,
+    "behind": -0.50,
+    "border": -2.35,
+    "rim": -6.28,
 }
 """Weights of a line's looks in the logarithm of the odds that it is the needle of a volume, rather
 than that there is none, if every second volume has one. They are those of a conditional logit (a
-volume has one needle or none) on the lines of own scans and painted images, seeds 1000 to 1219, two
+volume has one needle or none) on the lines of own scans and painted images, seeds 1000 to 1299, two
 of three, made and fitted by ``python -m looks_study`` (tests/helpers)."""
 
 

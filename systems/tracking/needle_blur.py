@@ -5,7 +5,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.systems.signals.blur import blur_covariance
+from sonoservo.systems.signals.blur import blur_covariance, line_axes
 from sonoservo.systems.signals.point_spread import FWHM_PER_SIGMA
 from sonoservo.systems.signals.volume import Volume
 from sonoservo.systems.tracking.speckle_width import speckle_spread
@@ -92,6 +92,13 @@ def echo_covariance(
         widths = np.stack([lateral, axial, elevation], axis=-1)
         return np.asarray(widths[:, np.newaxis] ** 2 * np.eye(3))
     return None
+
+
+def sound_directions(volume: Volume, p_P: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the (m, 3) directions of sound at (m, 3) positions in P; along Y, if unknown."""
+    if volume.motion is None:
+        return np.broadcast_to([0.0, 1.0, 0.0], p_P.shape)
+    return line_axes(volume.motion.geometry, p_P)[0][:, 2]
 
 
 def _on_axis(covariance: NDArray[np.float64], along: NDArray[np.float64]) -> NDArray[np.float64]:

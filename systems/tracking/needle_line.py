@@ -59,6 +59,7 @@ class NeedleLine(Immutable):
         """(3,) unit vector from the entry's side to the tip, in P."""
         return np.asarray((self.ends[1] - self.ends[0]) / self.length)
 
+
 @dataclass(frozen=True, eq=False)
 class Stretches:
     """Stretches of lines: (n, 2, 3) ends in P, evidence, and distances from the sides in m."""

@@ -25,7 +25,7 @@ from sonoservo.systems.signals.search_reason import SearchReason
 from sonoservo.systems.signals.volume import Volume
 from sonoservo.systems.tracking.axis import Axis
 from sonoservo.systems.tracking.line_contrast import best_stretches
-from sonoservo.systems.tracking.needle_blur import needle_blur
+from sonoservo.systems.tracking.needle_blur import needle_blur, sound_directions
 
 _NOTHING, _SPREAD = 1.8, 0.33
 """Standard deviation of the contrast in dB where there is no needle, and by how much more a
@@ -40,6 +40,10 @@ _TREND, _BEFORE = 5e-3, 1e-3
 
 _MIRROR = 16.0, 24.0
 """Contrast in dB up to which an end is rough, and from which on it mirrors sound."""
+
+_MIRRORED, _MIRROR_ANGLE = 30.0, math.radians(10)
+"""How much brighter a smooth needle is that mirrors sound back, in dB, and the angle from there in
+which most of that goes (Nichols et al. 2003, and the echo of a steel cylinder)."""
 
 _REACH = 20e-3
 """Mean length in m of what is not seen of a needle, beyond where it was last seen."""
@@ -166,6 +170,7 @@ def axis_profile(
         inside & (maxima[0] >= 0),
         needle_blur(volume, p_P, along, parameters.beam_width),
         parameters.contrast,
+        np.arcsin(np.clip(np.abs(sound_directions(volume, p_P) @ along), 0, 1)),
     )
 
 
@@ -246,7 +251,11 @@ def find_extent(profile: AxisProfile, parameters: TipParameters) -> NeedleExtent
     )
     places = _places(profile.a, first, logs, beyond)
     seen, tip, std = places[0]
-    top = float(tops[min(np.searchsorted(profile.a, tip), len(tops) - 1)])
+    at, beyond_at = np.searchsorted(profile.a[:-1], [tip, tip + _REACH / 2])
+    turned = 0.0
+    if profile.incidence is not None:
+        law = _MIRRORED * np.exp(-profile.incidence[[at, beyond_at]] / _MIRROR_ANGLE)
+        turned = float(law[1] - law[0])
     # Outside the tissue nothing scatters, so a needle that enters it in view comes from nowhere.
     around = uniform_filter1d(profile.background, round(_TREND / step))
     empty = around < np.median(around[first : last + 1]) - _EMPTY
@@ -257,7 +266,7 @@ def find_extent(profile: AxisProfile, parameters: TipParameters) -> NeedleExtent
         end=float(profile.a[last]),
         tip=float(tip),
         tip_std=float(std),
-        hidden_std=_hidden_std(top, parameters),
+        hidden_std=_hidden_std(float(tops[at]), turned, parameters),
         seen=float(seen),
         elsewhere=places[1:] - [0.0, tip, 0.0],
         entered=float(profile.a[unseen[-1]]) if len(unseen) else -np.inf,
@@ -347,7 +356,6 @@ def _end_logs(  # pragma: no cover - compiled
     return logs, needle[m], tops
 
 
-
 def _places(
     a: NDArray[np.float64], first: int, logs: NDArray[np.float64], beyond: float
 ) -> NDArray[np.float64]:
@@ -380,14 +388,15 @@ def _places(
     return np.array(places)
 
 
-def _hidden_std(top: float, parameters: TipParameters) -> float:
+def _hidden_std(top: float, turned: float, parameters: TipParameters) -> float:
     """Return the deviation in m of what is not seen of a needle beyond an end.
 
     A rough end, with a contrast of ``top`` dB before it, may be that of the shaft or of the bevel;
-    a mirror's is that of the bevel. A needle that is hardly brighter than the tissue may go on
-    unseen, as its level changes along it.
+    a mirror's is that of the bevel. A needle whose contrast, changed by ``turned`` dB as the sound
+    meets it at another angle, hardly exceeds the tissue's may go on unseen.
     """
     level = max(top, 0.0)
-    unseen = ndtr((parameters.contrast - level) / (_NOTHING + _SPREAD * min(level, 16.0)))
+    std = _NOTHING + _SPREAD * min(level, 16.0)
+    unseen = ndtr((parameters.contrast - level - turned) / std)
     rough = 1 - _mirror_share(top)
     return math.sqrt(rough * parameters.bevel_length**2 / 3 + 2 * unseen * _REACH**2)
