@@ -337,7 +337,7 @@ def follow(belief: LineBelief, volume: Volume, *, look: bool = False) -> LineBel
         now[:, 2] = np.logaddexp(classes[:, 2], classes[:, 4])
         past = np.concatenate([lines.past[:, 1:], now[:, np.newaxis]], axis=1)
         lines = replace(lines, classes=classes, past=past)
-        lines = _judged(lines, memory[-1], look)
+        lines = _judged(lines, memory[-1], fits, look)
     return LineBelief(memory, lines, appearing, born, births)
 
 
@@ -520,7 +520,7 @@ def _backwards(lines: Lines) -> NDArray[np.bool_]:
     return np.where(np.abs(surer) > 1, surer > 0, beyond < before)
 
 
-def _judged(lines: Lines, newest: Remembered, look: bool) -> Lines:
+def _judged(lines: Lines, newest: Remembered, fits: Sequence[FittedLine], look: bool) -> Lines:
     """Return lines with the looks of those that move like a needle, or of all prominent ones."""
     needle = np.logaddexp(lines.classes[:, 0], lines.classes[:, 1])
     judged = np.arange(len(lines)) < _JUDGED if look else needle > np.log(0.1)
@@ -528,7 +528,7 @@ def _judged(lines: Lines, newest: Remembered, look: bool) -> Lines:
     ends = newest.in_image(_seen_ends(lines).reshape(-1, 3)).reshape(-1, 2, 3)
     backwards = _backwards(lines)
     ends = np.where(backwards[:, np.newaxis, np.newaxis], ends[:, ::-1], ends)[judged]
-    odds = log_odds(newest.volume, ends, dark_entry=True)
+    odds = log_odds(newest.volume, ends, fits, dark_entry=True)
     looks[judged] += np.clip(np.nan_to_num(odds, nan=0.0), *_MOST_LOOKS)
     looked[judged] += ~np.isnan(odds)
     return replace(lines, looks=looks, looked=looked)

@@ -43,10 +43,13 @@ class FittedLine:
         (2, 3) ends in P, in m.
     brightness
         Sum of its bins' contrasts in dB, by which fits of one line are compared.
+    evidence
+        Sum of the logarithms of its bins' likelihood ratios, a line against nothing.
     """
 
     ends: Floats
     brightness: float
+    evidence: float
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -155,7 +158,7 @@ def fitted_lines(volume: Volume, cells: Cells, count: int = LINES) -> list[Fitte
     """
     middles, k = bright_lines(cells, count)
     ends = middles[:, np.newaxis] + HALF_LENGTH * np.array([[-1.0], [1.0]]) * k[:, np.newaxis]
-    values = np.zeros(len(ends))
+    values = sums = np.zeros(len(ends))
     for reach in _REACHES:
         along = ends[:, 1] - ends[:, 0]
         length = np.linalg.norm(along, axis=1)
@@ -178,6 +181,6 @@ def fitted_lines(volume: Volume, cells: Cells, count: int = LINES) -> list[Fitte
         found = np.flatnonzero((lasts - firsts + 1 >= _SHORTEST) & (evidence >= _LEAST))
         a = np.stack([MIDDLES[firsts[found]] - BIN / 2, MIDDLES[lasts[found]] + BIN / 2], axis=1)
         ends = middles[found, np.newaxis] + a[..., np.newaxis] * k[found, np.newaxis]
-        values = brightness(contrasts[found], seen[found])
+        values, sums = brightness(contrasts[found], seen[found]), evidence[found]
     order = np.argsort(-values, kind="stable")
-    return [FittedLine(ends[n], float(values[n])) for n in order]
+    return [FittedLine(ends[n], float(values[n]), float(sums[n])) for n in order]

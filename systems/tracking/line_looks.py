@@ -44,6 +44,7 @@ field of view to the ends."""
 _WEIGHTS = {
     "constant": 1.46,
     "evidence": 1.43,
+    "clutter": -4.0,
     "short": -2.08,
     "streak": -11.61,
     "fall": 3.39,
@@ -65,7 +66,13 @@ of three, made and fitted by ``python -m looks_study`` (tests/helpers)."""
 
 
 def line_looks(
-    volume: Volume, ends: Floats, *, evidence: Floats, entry_gap: Floats, tip_gap: Floats
+    volume: Volume,
+    ends: Floats,
+    *,
+    evidence: Floats,
+    clutter: float,
+    entry_gap: Floats,
+    tip_gap: Floats,
 ) -> dict[str, Floats]:
     """Return what tells needles from other bright lines, each (n,).
 
@@ -83,6 +90,9 @@ def line_looks(
         (n, 2, 3) ends of the lines in P, the one on the entry's side first, in m.
     evidence
         (n,) sums of the logarithms of the likelihood ratios of their bins.
+    clutter
+        Median evidence of all bright lines of the volume: where there are many, one more tells
+        little.
     entry_gap, tip_gap
         (n,) distances from the side of the field of view to the first and the second end, in m.
     """
@@ -102,6 +112,7 @@ def line_looks(
     return {
         "constant": np.ones(len(ends)),
         "evidence": np.log(np.maximum(evidence, 1e-3) / 30),
+        "clutter": np.full(len(ends), math.log(max(clutter, 1.0) / 30)),
         "short": np.maximum(1 - length / _LONG, 0.0),
         "streak": np.minimum(streaks / length, 1.0),
         "fall": np.maximum(k[:, 1], 0.0),

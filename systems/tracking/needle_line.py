@@ -1,6 +1,7 @@
 """Search for the line that looks most like a needle, in a volume without a prediction."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,7 +19,7 @@ from sonoservo.systems.tracking.line_contrast import (
     log_ratio,
     stretches,
 )
-from sonoservo.systems.tracking.line_fit import fitted_lines
+from sonoservo.systems.tracking.line_fit import FittedLine, fitted_lines
 from sonoservo.systems.tracking.line_looks import line_looks, looks_odds
 
 Floats = NDArray[np.float64]
@@ -69,12 +70,13 @@ class Stretches:
     entry_gap: Floats
     tip_gap: Floats
 
-    def looks(self, volume: Volume) -> dict[str, Floats]:
+    def looks(self, volume: Volume, clutter: float) -> dict[str, Floats]:
         """Return the looks of each; see `line_looks`."""
         return line_looks(
             volume,
             self.ends,
             evidence=self.evidence,
+            clutter=clutter,
             entry_gap=self.entry_gap,
             tip_gap=self.tip_gap,
         )
@@ -120,7 +122,14 @@ def stretches_between(volume: Volume, ends: Floats) -> tuple[Stretches, NDArray[
     return Stretches(ends, evidence, before, beyond), inside.sum(axis=1) >= 2
 
 
-def log_odds(volume: Volume, ends: Floats, *, dark_entry: bool = False) -> Floats:
+def clutter(fits: Sequence[FittedLine]) -> float:
+    """Return the median evidence of the bright lines of a volume; 0 without any."""
+    return float(np.median([fit.evidence for fit in fits])) if fits else 0.0
+
+
+def log_odds(
+    volume: Volume, ends: Floats, among: Sequence[FittedLine], *, dark_entry: bool = False
+) -> Floats:
     """Return the log odds that stretches are needles, judged by their looks.
 
     Parameters
@@ -129,6 +138,8 @@ def log_odds(volume: Volume, ends: Floats, *, dark_entry: bool = False) -> Float
         Volume with the lines.
     ends
         (n, 2, 3) entries and tips in P, in m.
+    among
+        Bright lines of the volume.
     dark_entry
         Whether what is dark between the side of the field of view and the stretch does not count:
         the near part of a needle may be faint.
@@ -142,21 +153,23 @@ def log_odds(volume: Volume, ends: Floats, *, dark_entry: bool = False) -> Float
     found, seen = stretches_between(volume, ends)
     if dark_entry:
         found = replace(found, entry_gap=np.zeros(len(ends)))
-    return np.where(seen, looks_odds(found.looks(volume)), np.nan)
+    return np.where(seen, looks_odds(found.looks(volume, clutter(among))), np.nan)
 
 
-def needle_lines(volume: Volume) -> list[NeedleLine]:
+def needle_lines(volume: Volume, fits: Sequence[FittedLine] | None = None) -> list[NeedleLine]:
     """Return the lines of a volume that may be needles by their looks, most probable first.
+
+    ``fits`` are its bright lines, if they are known already.
 
     At most one line is the needle, so the more there are that look like one, the less probable each
     is.
     """
-    fits = fitted_lines(volume, cells_of(volume))
+    fits = fitted_lines(volume, cells_of(volume)) if fits is None else fits
     if not fits:
         return []
     found = evident_stretches(volume, np.array([fit.ends for fit in fits]))
     long = np.linalg.norm(found.ends[:, 1] - found.ends[:, 0], axis=1) >= SHORTEST
-    ends, odds = found.ends[long], looks_odds(found.looks(volume))[long]
+    ends, odds = found.ends[long], looks_odds(found.looks(volume, clutter(fits)))[long]
     return _needles(ends, odds)
 
 

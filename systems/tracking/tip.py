@@ -309,8 +309,8 @@ def _end_logs(  # pragma: no cover - compiled
 
     Returns
     -------
-    (m,) log likelihoods, that of a needle which goes on beyond all samples, and (m,) contrasts in dB
-    shortly before each end.
+    (m,) log likelihoods, that of a needle which goes on beyond all samples, and (m,) contrasts
+    shortly before each end, in dB.
     """
     m = len(contrast)
     needle, nothing = np.zeros(m + 1), np.zeros(m + 1)

@@ -6,7 +6,7 @@ import numpy as np
 
 from sonoservo.systems.tracking.cells import cells_of
 from sonoservo.systems.tracking.line_fit import fitted_lines
-from sonoservo.systems.tracking.needle_line import SHORTEST, evident_stretches
+from sonoservo.systems.tracking.needle_line import SHORTEST, clutter, evident_stretches
 
 from .own_scans import drawn_scan
 from .painted import painted
@@ -76,7 +76,7 @@ def collect(seeds, say=lambda line: None):
                     continue
                 found = evident_stretches(volume, np.array([fit.ends for fit in fits]))
                 long = np.linalg.norm(found.ends[:, 1] - found.ends[:, 0], axis=1) >= SHORTEST
-                features = found.looks(volume)
+                features = found.looks(volume, clutter(fits))
                 names = list(features)
                 looks.append(np.stack(list(features.values()), axis=1)[long])
                 along = lies_along(found.ends[long], ends) if needle else np.zeros(long.sum(), bool)
