@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
 import numpy as np
-from filterpy.kalman import predict, update
+from filterpy.kalman import predict
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform
 from scipy.spatial.transform import Rotation
@@ -250,30 +250,29 @@ class InteractingFilter:
         fades = np.r_[np.ones(2 * size), np.full(size, kept)]
         renewed = np.diag(np.r_[np.zeros(2 * size), np.full(size, 1 - kept**2)])
         C = np.hstack([np.eye(size), np.zeros((size, size)), np.sqrt(self.repeated) * _root(R)])
-        known = (self.constant + self.repeated) * R
-        means, covariances = np.empty_like(state.means), np.empty_like(state.covariances)
         # The tip may be at any of its places, so each is tried (Bar-Shalom and Tse 1975).
-        fits = np.empty((len(means), len(measurement.places)))
-        for model in range(len(means)):
-            mean = fades * state.means[model]
-            P = np.outer(fades, fades) * state.covariances[model] + renewed
-            each = []
-            for place, (probability, z, wide) in enumerate(measurement.places):
-                noise = turned @ wide @ turned.T - known
-                S = C @ P @ C.T + noise
-                y = z - C @ mean
-                fit = -0.5 * (y @ np.linalg.solve(S, y) + np.linalg.slogdet(S)[1])
-                fits[model, place] = fit + math.log(max(probability, 1e-300))
-                each.append(update(mean, P, z, noise, C))
-            shares = np.exp(fits[model] - fits[model].max())
-            mean, P = _mixed(shares / shares.sum(), *map(np.array, zip(*each, strict=True)))
-            means[model], covariances[model] = mean, 0.5 * (P + P.T)
-        weights = state.weights[:, np.newaxis] * np.exp(fits - fits.max())
-        weights /= weights.sum()
+        probabilities, z, wide = map(np.array, zip(*measurement.places, strict=True))
+        noise = turned @ wide @ turned.T - (self.constant + self.repeated) * R
+        mean = fades * state.means
+        P = np.outer(fades, fades) * state.covariances + renewed
+        # Under each (model, place): correction, and how well it fits.
+        S = (C @ P @ C.T)[:, np.newaxis] + noise
+        y = z - (mean @ C.T)[:, np.newaxis]
+        gains = np.linalg.solve(S, (C @ P)[:, np.newaxis]).swapaxes(-1, -2)
+        distances = np.einsum("mpi,mpi->mp", y, np.linalg.solve(S, y[..., np.newaxis])[..., 0])
+        fits = -0.5 * (distances + np.linalg.slogdet(S)[1])
+        weights = probabilities * np.exp(fits - fits.max())
+        found = mean[:, np.newaxis] + (gains @ y[..., np.newaxis])[..., 0]
+        spreads = P[:, np.newaxis] - gains @ S @ gains.swapaxes(-1, -2)
+        weights = np.maximum(weights, 1e-300)
+        shares = weights / weights.sum(axis=1, keepdims=True)
+        mixed = [_mixed(*each) for each in zip(shares, found, spreads, strict=True)]
+        means, covariances = map(np.array, zip(*mixed, strict=True))
+        weights *= state.weights[:, np.newaxis] / (state.weights @ weights).sum()
         return replace(
             state,
             means=means,
-            covariances=covariances,
+            covariances=0.5 * (covariances + covariances.swapaxes(-1, -2)),
             weights=weights.sum(axis=1),
             constant=self._constant(measurement, R),
             seen=replace(measurement, tip_seen=min(float(weights[:, 0].sum()), 1.0)),

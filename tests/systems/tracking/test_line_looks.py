@@ -31,7 +31,7 @@ def volume(level):
 def features(level, ends=ENDS):
     given = {"evidence": [30.0], "entry_gap": [4e-3], "tip_gap": [4e-3]}
     given = {name: np.array(value) for name, value in given.items()}
-    found = line_looks(volume(level), ends[np.newaxis], **given)
+    found = line_looks(volume(level), ends[np.newaxis], clutter=15.0, **given)
     return {name: float(value[0]) for name, value in found.items()}
 
 

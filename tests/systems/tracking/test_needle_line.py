@@ -11,9 +11,10 @@ from synthetic_volumes import GEOMETRY, Scene, entry_on_side
 from sonoservo.diagrams.app.volumes.locate import locate_in
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.tracking import needle_line as module
+from sonoservo.systems.tracking.cells import cells_of
+from sonoservo.systems.tracking.line_fit import fitted_lines
 from sonoservo.systems.tracking.localizer_parameters import NeedleLocalizerParameters
 from sonoservo.systems.tracking.needle_line import (
-    NeedleLine,
     log_odds,
     needle_lines,
     stretches_between,
@@ -35,7 +36,7 @@ def volume():
 def test_the_needle_is_the_most_probable_line():
     first, *others = needle_lines(volume())
     assert abs(first.direction @ K) > np.cos(np.radians(2))
-    assert all(each.log_odds <= first.log_odds for each in others)
+    assert all(each.probability < first.probability for each in others)
 
 
 @pytest.mark.parametrize(
@@ -54,25 +55,28 @@ def test_a_line_along_the_border_of_the_field_of_view_is_no_needle(frame, lines,
     assert (found > 0) == possible
 
 
-def test_a_whole_needle_takes_the_place_of_its_parts():
-    """Unless it does not look like a needle: a part of a sheet may."""
+def test_lines_along_one_needle_share_its_probability():
+    """The one that is likely itself and has the others along it stands for all."""
     part, beside = ENTRY + np.outer([0.0, 0.02], K), NEEDLE + np.array([0.0, 0.01, 0.0])
     sheet = np.array([beside[0], beside[0] + 0.07 * K])
-    lines = [
-        NeedleLine(part, log_odds=5.0),
-        NeedleLine(NEEDLE, log_odds=2.0),
-        NeedleLine(beside, log_odds=4.0),
-        NeedleLine(sheet, log_odds=-1.0),
-    ]
     steep = NEEDLE[0] + np.outer([0.0, 0.007], K + np.cross(K, [0.0, 0.25, 0.0]))
-    lines.append(NeedleLine(steep, log_odds=9.0))  # near, but not along
-    found = module._whole_needles(sorted(lines, key=lambda line: -line.log_odds))
-    assert [each.log_odds for each in found] == [9.0, 5.0, 4.0, -1.0]
-    np.testing.assert_array_equal(found[1].ends, NEEDLE)
+    ends, log_odds = np.array([part, NEEDLE, beside, sheet, steep]), [1.0, 1.0, 0.0, -9.0, -1.0]
+    found = module._needles(ends, np.array(log_odds))
+    total = 1 + np.exp(log_odds).sum()
+    assert len(found) == 3
+    np.testing.assert_array_equal(found[0].ends, NEEDLE)
+    assert found[0].probability == pytest.approx(2 * np.e / total)
+    assert found[1].probability == pytest.approx((1 + np.exp(-9.0)) / total, rel=1e-3)
+    np.testing.assert_array_equal(found[2].ends, steep)
 
 
 def odds(image, ends, **options):
-    return log_odds(image, ends[np.newaxis], **options)[0]
+    return log_odds(image, ends[np.newaxis], fits(image), **options)[0]
+
+
+@lru_cache
+def fits(image):
+    return fitted_lines(image, cells_of(image))
 
 
 def test_a_dark_beginning_does_not_count_against_the_looks_of_a_stretch():
