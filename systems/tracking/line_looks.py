@@ -42,22 +42,22 @@ field of view to the ends."""
 
 
 _WEIGHTS = {
-    "constant": 1.46,
-    "evidence": 1.43,
-    "clutter": -4.0,
-    "short": -2.08,
-    "streak": -11.61,
-    "fall": 3.39,
-    "entry gap": -0.41,
-    "tip at edge": -3.00,
-    "width": 2.35,
-    "aside": 0.18,
-    "around": -25.89,
-    "above": 2.81,
-    "outside": 14.71,
-    "behind": -0.50,
-    "border": -2.35,
-    "rim": -6.28,
+    "constant": 0.56,
+    "evidence": 2.13,
+    "clutter": -3.29,
+    "short": -2.69,
+    "streak": -13.14,
+    "fall": 3.48,
+    "entry gap": -0.48,
+    "tip at edge": -2.89,
+    "width": 3.07,
+    "aside": -0.98,
+    "around": -25.26,
+    "above": 3.67,
+    "outside": 10.79,
+    "behind": -0.49,
+    "border": -2.18,
+    "rim": -8.18,
 }
 """Weights of a line's looks in the logarithm of the odds that it is the needle of a volume, rather
 than that there is none, if every second volume has one. They are those of a conditional logit (a
