@@ -107,7 +107,8 @@ def line_looks(
         below = np.nanmean(section[:, 3:6, _BELOW], axis=1)
         far_below = np.nanmean(section[:, 5:, _BELOW], axis=1)
     blur = _blur(volume, ends, k)
-    beside = _amplitudes(near) - _spread(blur)
+    beside = _amplitudes(near) - _spread(blur, _NEAR)
+    farther = _amplitudes(far) - _spread(blur, _FAR)
     streaks = streak_lengths(volume, ends)
     return {
         "constant": np.ones(len(ends)),
@@ -121,8 +122,8 @@ def line_looks(
         "width": np.ones(len(ends)) * np.clip(_relative_width(blur, section[:, _WIDTH]), *_WIDTHS),
         "aside": np.maximum(beside[:, _ASIDE], beside[:, _OTHER_SIDE]),
         "around": beside.max(axis=1),
-        "above": _amplitudes(far)[:, _ABOVE],
-        "outside": np.median(_amplitudes(far), axis=1),
+        "above": farther[:, _ABOVE],
+        "outside": np.median(farther, axis=1),
         "behind": _limited(above - far_below, 0, 8) / 2,
         "border": (_limited(below - above - 4, 0, 12) / 4) ** 2,
         "rim": 1 - shares[:, 3].mean(axis=1),
@@ -153,12 +154,12 @@ def _blur(volume: Volume, ends: Floats, k: Floats) -> Floats | None:
     return np.asarray(blur + _FINEST**2 * np.eye(2))
 
 
-def _spread(blur: Floats | None) -> Floats | float:
-    """Return the (n, 8) amplitudes to which the beam alone spreads a line's echo near it."""
+def _spread(blur: Floats | None, circles: slice) -> Floats | float:
+    """Return the (n, 8) amplitudes to which the beam alone spreads a line's echo on circles."""
     if blur is None:
         return 0.0
     variance = np.einsum("nij,si,sj->ns", blur, _SIDES, _SIDES)
-    return np.asarray(np.exp(-0.5 * np.mean(_RADII[_NEAR] ** 2) / variance))
+    return np.asarray(np.exp(-0.5 * np.mean(_RADII[circles] ** 2) / variance))
 
 
 def _relative_width(blur: Floats | None, section: Floats) -> Floats | float:

@@ -41,7 +41,7 @@ class NeedleLine(Immutable):
     ends
         (2, 3) ends in P, in m: the one on the entry's side, and the tip.
     probability
-        Probability that the line, or a part of it, is the needle, judged by this volume alone.
+        Probability that the line, or another along it, is the needle, judged by this volume alone.
     """
 
     ends: Floats
@@ -97,6 +97,17 @@ def _gaps(seen: NDArray[np.bool_], firsts: NDArray[np.int64], lasts: NDArray[np.
     return BIN * np.array([firsts - 1 - before, beyond - 1 - lasts], dtype=np.float64)
 
 
+def lie_along(ends: Floats, others: Floats) -> NDArray[np.bool_]:
+    """Return (n, m) flags of the (m, 2, 3) others, by their ends in P, that lie along (n) lines."""
+    middles, k, lengths = _frame(ends)
+    # (n, m, 9, 3) differences of points of the others and the middles of the lines.
+    away = np.linspace(others[:, 0], others[:, 1], 9, axis=1) - middles[:, np.newaxis, np.newaxis]
+    reach = 0.5 * lengths[:, np.newaxis, np.newaxis]
+    a = np.clip(np.einsum("nmpi,ni->nmp", away, k), -reach, reach)
+    away = np.linalg.norm(away - a[..., np.newaxis] * k[:, np.newaxis, np.newaxis], axis=-1)
+    return (away.mean(axis=-1) < _ALONG) & (np.abs(k @ _frame(others)[1].T) > _PARALLEL)
+
+
 def evident_stretches(volume: Volume, ends: Floats) -> Stretches:
     """Return the most evident stretches of lines, the end nearer to the side first."""
     middles, k, _ = _frame(ends)
@@ -146,25 +157,28 @@ def log_odds(
 
     Returns
     -------
-    (n,) log odds that each is the needle rather than that there is none; NaN where it is not seen.
+    (n,) log odds that the needle lies along each, rather than that there is none; NaN where it is
+    not seen.
     """
     if len(ends) == 0:
         return np.zeros(0)
     found, seen = stretches_between(volume, ends)
     if dark_entry:
         found = replace(found, entry_gap=np.zeros(len(ends)))
-    return np.where(seen, looks_odds(found.looks(volume, clutter(among))), np.nan)
+    odds = looks_odds(found.looks(volume, clutter(among)))
+    # Each of the bright lines along a needle may be it, see `needle_lines`.
+    fits = np.array([fit.ends for fit in among]).reshape(-1, 2, 3)
+    odds += np.log(np.maximum(lie_along(ends, fits).sum(axis=1), 1))
+    return np.where(seen, odds, np.nan)
 
 
-def needle_lines(volume: Volume, fits: Sequence[FittedLine] | None = None) -> list[NeedleLine]:
+def needle_lines(volume: Volume) -> list[NeedleLine]:
     """Return the lines of a volume that may be needles by their looks, most probable first.
-
-    ``fits`` are its bright lines, if they are known already.
 
     At most one line is the needle, so the more there are that look like one, the less probable each
     is.
     """
-    fits = fitted_lines(volume, cells_of(volume)) if fits is None else fits
+    fits = fitted_lines(volume, cells_of(volume))
     if not fits:
         return []
     found = evident_stretches(volume, np.array([fit.ends for fit in fits]))
@@ -185,20 +199,14 @@ def _needles(ends: Floats, odds: Floats) -> list[NeedleLine]:
         (n, 2, 3) ends in P, in m, and (n,) logarithms of the odds that each line is the needle
         rather than that there is none.
     """
-    middles, k, lengths = _frame(ends)
     probabilities = np.exp(odds - logsumexp(np.append(odds, 0.0)))
-    # (n, m, 9, 3) differences of points along the second lines and the middles of the first.
-    points = np.linspace(ends[:, 0], ends[:, 1], 9, axis=1)
-    away = points - middles[:, np.newaxis, np.newaxis]
-    reach = 0.5 * lengths[:, np.newaxis, np.newaxis]
-    a = np.clip(np.einsum("nmpi,ni->nmp", away, k), -reach, reach)
-    away = np.linalg.norm(away - a[..., np.newaxis] * k[:, np.newaxis, np.newaxis], axis=-1)
-    along = (away.mean(axis=-1) < _ALONG) & (np.abs(k @ k.T) > _PARALLEL)
+    along = lie_along(ends, ends)
     lines, left = [], np.ones(len(ends), bool)
     while left.any():
-        together = (along & left) @ probabilities
-        first = int(np.where(left, probabilities * together, -1.0).argmax())
-        lines.append(NeedleLine(ends[first], min(float(together[first]), 1.0)))
+        shared = (along & left) @ probabilities
+        first = int(np.where(left, probabilities * shared, -1.0).argmax())
+        together = min(float(shared[first]), 1.0)
+        lines.append(NeedleLine(ends[first], together))
         left &= ~(along[first] | along[:, first])
         left[first] = False
     return sorted(lines, key=lambda line: -line.probability)

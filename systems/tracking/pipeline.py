@@ -17,10 +17,8 @@ from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
 from sonoservo.systems.signals.needle_prediction import NeedlePrediction
 from sonoservo.systems.signals.search_reason import SearchReason
 from sonoservo.systems.signals.volume import Volume
-from sonoservo.systems.tracking.cells import cells_of
-from sonoservo.systems.tracking.line_fit import fitted_lines
 from sonoservo.systems.tracking.localizer_parameters import NeedleLocalizerParameters
-from sonoservo.systems.tracking.needle_line import log_odds, needle_lines
+from sonoservo.systems.tracking.needle_line import lie_along, needle_lines
 from sonoservo.systems.tracking.region_localization import localize_in_region
 from sonoservo.systems.tracking.search_region import (
     line_region,
@@ -105,8 +103,7 @@ def _localize_everywhere(
     rng: np.random.Generator,
 ) -> tuple[Attempts, NeedleMeasurement | NotFound, float]:
     """Localize the line that looks most like a needle; return the probability that it is one."""
-    fits = fitted_lines(volume, cells_of(volume))
-    lines = needle_lines(volume, fits)
+    lines = needle_lines(volume)
     if not lines:
         return [], NotFound(SearchReason.NO_BRIGHT_LINE(" is seen")), 0.0
     if lines[0].probability < parameters.min_probability:
@@ -124,11 +121,11 @@ def _localize_everywhere(
         if isinstance(measurement, NotFound):
             first = first or (measurement, 0.0)
             continue
-        # What was measured must look like a needle, too, over all its length.
+        # What was measured must be what was found.
         seen = acquired_from(volume, measurement.curve.control_points[[0, -1]])
-        if log_odds(volume, seen[np.newaxis], fits)[0] >= 0:
+        if lie_along(each.ends[np.newaxis], seen[np.newaxis])[0, 0]:
             return attempts, measurement, each.probability
-        reason = SearchReason.NOT_ALIKE(" does not look like a needle over all its length")
+        reason = SearchReason.NOT_ALIKE(" is not what was measured along it")
         first = first or (NotFound(reason), each.probability)
     assert first is not None
     return attempts, *first
