@@ -38,8 +38,7 @@ class NeedleLocalizerParameters(Bounded):
     search_reach
         Distance to search outwards along a line for its entry, in m.
     min_probability
-        Smallest probability at which a line in the whole volume counts as a needle: a false one
-        costs twice as much as one that is missed.
+        Smallest probability at which a line in the whole volume counts as a needle.
     min_inlier_ratio
         Smallest share of inliers among the candidates between entry and tip.
     min_evidence
@@ -82,7 +81,7 @@ class NeedleLocalizerParameters(Bounded):
     min_share: Positive = 0.4
     min_shaft: Positive = 8e-3
     search_reach: Positive = 40e-3
-    min_probability: Positive = 2 / 3
+    min_probability: Positive = 0.5
     min_inlier_ratio: Positive = 0.15
     min_evidence: Positive = 12e-3
     correlation_length: Positive = 2e-3

@@ -7,6 +7,9 @@ import numpy as np
 import yaml
 from random_scans import random_scan
 
+from sonoservo.systems.files.model_file import model_file
+from sonoservo.systems.files.typed_yaml import read_yaml
+
 NEEDLES = ("biopsy", "brachytherapy", "coated", "echogenic", "spinal")
 PHANTOMS = ("agar", "liver", "prostate", "limb")
 """Phantoms without a wire and without a needle at rest, which look like needles."""
@@ -55,6 +58,11 @@ def drawn_scan(seed, needle):
     The wall of a straight vessel mirrors along a line, so it looks like a wire.
     """
     rng = np.random.default_rng([seed, 11])
+    with tempfile.TemporaryDirectory() as folder:
+        return _drawn_scan(seed, needle, rng, Path(folder))
+
+
+def _drawn_scan(seed, needle, rng, folder):
     changes = {
         "needle": str(rng.choice(NEEDLES)),
         "scanner.needle.fading_db": float(rng.choice([0.0, 3.0, 6.0])),
@@ -76,9 +84,15 @@ def drawn_scan(seed, needle):
             "fat": {"thickness": fat},
             "structures": structures,
         }
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / "body.yaml"
-            path.write_text(yaml.safe_dump({"tissue": tissue}))
-            return random_scan(seed, needle, changes | {"phantom": str(path)}, steepest=45)
-    changes["phantom"] = str(rng.choice(PHANTOMS))
+        path = folder / "body.yaml"
+        path.write_text(yaml.safe_dump({"tissue": tissue}))
+        changes["phantom"] = str(path)
+    else:
+        changes["phantom"] = str(rng.choice(PHANTOMS))
+    if rng.random() < 0.3:  # a lens that draws out what is far from its focus
+        probe = read_yaml(model_file("probes", "4dc7_3_40"))
+        probe["transducer"]["lens_focus"] = float(rng.uniform(0.015, 0.08))
+        path = folder / "probe.yaml"
+        path.write_text(yaml.safe_dump(probe))
+        changes["probe"] = str(path)
     return random_scan(seed, needle, changes, steepest=45)
