@@ -118,9 +118,8 @@ def test_a_line_that_is_a_needle_is_localized_and_followed():
 )
 def test_a_line_that_is_none_says_what_it_is_like(kind, words):
     life = lifecycle()
-    reason = life.predict(
-        Track.without_needle(0.0), 1.0, STILL, lines(needle=0.9, kind=kind)
-    ).reason
+    nothing = Track.without_needle(0.0)
+    reason = life.predict(nothing, 1.0, STILL, lines(needle=0.9, kind=kind)).reason
     assert (reason, SearchReason.of(str(reason)).words) == (words, words)
     assert life.predict(nothing, 1.0, STILL, NO_LINES) is NO_LINES
 
