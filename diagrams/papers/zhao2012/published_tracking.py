@@ -5,7 +5,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.diagrams.papers.zhao2012.tracking import VELOCIMETER, localize_as_published
+from sonoservo.diagrams.papers.zhao2012.tracking import (
+    MOTION,
+    TURNING,
+    VELOCIMETER,
+    localize_as_published,
+)
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
@@ -13,24 +18,18 @@ from sonoservo.systems.signals.radio_frequency_sweep import RadioFrequencySweep
 from sonoservo.systems.signals.velocity_measurement import VelocityMeasurement
 from sonoservo.systems.signals.volume import Volume
 from sonoservo.systems.tracking.axis_tip_filter import AxisTipFilter, AxisTipState
-from sonoservo.systems.tracking.needle_motion import NeedleMotionParameters
 from sonoservo.systems.tracking.speckle_velocimeter import measure_velocity
 
 Floats = NDArray[np.float64]
 
-_FILTER = AxisTipFilter(
-    motion=NeedleMotionParameters(insertion=0, body=1e-9),
-    turning=2e-6,
-    velocity_gate=1 - 1e-12,
-)
-"""The published filter: the same noise Q in every direction, and no gate on the velocity."""
+_FILTER = AxisTipFilter(motion=MOTION, turning=TURNING, velocity_gate=1 - 1e-12)
+"""The published filter, which has no gate on the velocity."""
 
 _STD = 0.5e-3
 """Standard deviation of tip and rear end in every direction, which gives R, in m; not published."""
 
-_VELOCIMETER = replace(VELOCIMETER, min_correlation=1e-6, min_speed_std=2e-3)
-"""The published windows. The best match counts, however badly it correlates, with an R of
-(2 mm/s)^2. The velocity is some per cent too small, and a filter that trusts it more lags."""
+_VELOCIMETER = replace(VELOCIMETER, min_correlation=1e-6)
+"""The published windows. The best match counts, however badly it correlates."""
 
 
 def with_input(state: AxisTipState, change: float, dt: float) -> AxisTipState:

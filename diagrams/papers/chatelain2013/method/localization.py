@@ -57,7 +57,8 @@ class PublishedLocalizationParameters(Bounded):
     max_angle_deg
         Largest angle alpha_0 from the predicted direction (eq. 22), in degrees.
     min_length
-        Visible length from which on a needle is tracked, in m.
+        Visible length from which on a needle is tracked, in m. Around an entry, tissue alone shows
+        lines of 10 to 15 mm.
     max_gap
         Largest gap in the intensity along the needle that does not end it, in m.
     std
@@ -76,7 +77,7 @@ class PublishedLocalizationParameters(Bounded):
     margin: Positive = 10e-3
     first_margin: Positive = 20e-3
     max_angle_deg: Positive = 35.0
-    min_length: Positive = 10e-3
+    min_length: Positive = 20e-3
     max_gap: Positive = 3e-3
     std: Positive = 1e-3
     end_contrast: Positive = 6.0

@@ -13,8 +13,8 @@ from sonoservo.diagrams.papers.carriere2016.protocols import (
     SWEEPS,
     Protocol,
 )
+from sonoservo.diagrams.papers.carriere2016.report import PAPER, set_rows, sweep_rows
 from sonoservo.diagrams.papers.carriere2016.reproduction import reproduce
-from sonoservo.diagrams.papers.carriere2016.rows_report import PAPER, set_rows, sweep_rows
 from sonoservo.diagrams.papers.carriere2016.runs import AS_PUBLISHED, TAUGHT, run_needle
 from sonoservo.diagrams.studies.study import Case, Outcome, StudyOptions
 from sonoservo.diagrams.studies.study_report import write_study

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from sonoservo.diagrams.papers.zhao2012 import reproduction as zhao2012
-from sonoservo.diagrams.papers.zhao2012.loop_report import NO_VELOCIMETER
 from sonoservo.diagrams.papers.zhao2012.phantom import DIRECTION, IMAGING, Phantom, StraightNeedle
 from sonoservo.diagrams.papers.zhao2012.runs import (
     ESTIMATORS,
@@ -15,6 +14,7 @@ from sonoservo.diagrams.papers.zhao2012.runs import (
     SPEEDOMETERS,
     run_case,
 )
+from sonoservo.diagrams.papers.zhao2012.speed_report import NO_VELOCIMETER
 from sonoservo.diagrams.studies.following.analysis import load_case
 from sonoservo.diagrams.studies.following.cases import AS_PUBLISHED
 from sonoservo.diagrams.studies.study import Case, Outcome, StudyOptions
