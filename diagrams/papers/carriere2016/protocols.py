@@ -9,20 +9,10 @@ SETS = ("d60", "d80", "patient")
 
 @dataclass(frozen=True)
 class Protocol:
-    """Protocol of one experiment.
+    """Protocol of one experiment: name of the scenario, numbers of needles, changes.
 
-    Parameters
-    ----------
-    scenario
-        Name of the scenario.
-    seeds, quick
-        Number of needles of the study and of a quick one.
-    changes
-        Changes of the scenario.
-    whole
-        Whether the slices beyond the last one used are made, too, which the measured path needs.
-    learnt
-        Experiment whose earlier needles teach the amplitude of the wander; empty for none.
+    `whole`: whether the slices beyond the last one used are made, too, which the measured path
+    needs; `learnt`: the `LESSONS` whose needles teach the amplitude of the wander; empty for none.
     """
 
     scenario: str

@@ -80,15 +80,7 @@ _ABLATION = "fig5, "
 
 
 def report(outcomes: Sequence[Outcome], logs: Path | None = None) -> Study:
-    """Return the study of finished runs.
-
-    Parameters
-    ----------
-    outcomes
-        Outcomes of all experiments.
-    logs
-        Folder of their logs; without it, there are no figures.
-    """
+    """Return the study of finished runs; without the folder of their logs, there are no figures."""
     names = dict.fromkeys(each.case.experiment.removesuffix(AS_PUBLISHED) for each in outcomes)
     ablations = [each.removeprefix(_ABLATION) for each in names if each.startswith(_ABLATION)]
     groups = {name: Comparison(outcomes, name, logs) for name in names}

@@ -74,22 +74,10 @@ _NUDGES = [
 
 @dataclass(frozen=True)
 class Protocol:
-    """Protocol of one experiment.
+    """Protocol of one experiment: name of the scenario, number of seeds, and changes.
 
-    Parameters
-    ----------
-    scenario
-        Name of the scenario.
-    seeds
-        Number of seeds.
-    quick
-        Number of seeds and duration in s of a quick study.
-    changes
-        Changes of the scenario.
-    drawn
-        Function that draws further changes for a seed.
-    ours, compared
-        Whether our method and the published one are run.
+    `quick`: number of seeds and duration in s of a quick study; `drawn` draws further changes for a
+    seed; `ours`, `compared`: whether our method and the published one are run.
     """
 
     scenario: str
@@ -202,13 +190,7 @@ PROTOCOLS: Mapping[str, Protocol] = {
 
 
 def reproduce(options: StudyOptions) -> Study:
-    """Run the experiments, and compare them with the paper.
-
-    Parameters
-    ----------
-    options
-        Number of runs, folder and number of processes.
-    """
+    """Run the experiments, and compare them with the paper."""
     logs = options.folder / "logs"
     outcomes = run_cases(
         run_case,

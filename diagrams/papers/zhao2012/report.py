@@ -88,15 +88,7 @@ _KINDS = ("fresh speckle", "same volumes")
 
 
 def report(outcomes: Sequence[Outcome], logs: Path | None = None) -> Study:
-    """Return the study of finished runs.
-
-    Parameters
-    ----------
-    outcomes
-        Outcomes of all experiments.
-    logs
-        Folder of the runs; without it, there are no figures.
-    """
+    """Return the study of finished runs; without the folder of their logs, there are no figures."""
     rows: list[StudyRow] = []
     figures = []
     names = dict.fromkeys(each.case.experiment for each in outcomes)

@@ -53,15 +53,9 @@ def _b_mode(geometry: SweepGeometry) -> BMode:
 
 
 def _phantom(settings: Mapping[str, Any]) -> Phantom:
-    """Return a phantom with speckle of its own and its needle shifted by up to 0.3 mm.
+    """Return a phantom with speckle of its own and its needle shifted off the grid by up to 0.3 mm.
 
-    The shift prevents the needle from being aligned with the grid.
-
-    Parameters
-    ----------
-    settings
-        Seed (`phantom`) and perhaps the needle's `direction` in T and its shift in depth,
-        `deeper_mm`.
+    Of the settings, `phantom` is the seed; `direction` in T and `deeper_mm` may move the needle.
     """
     seed = settings["phantom"]
     direction = np.array(settings.get("direction", DIRECTION))
@@ -83,15 +77,7 @@ def _errors(curve: NeedleCurve | None, needle: StraightNeedle, length: float) ->
 
 
 class _Estimators:
-    """All `ESTIMATORS` on sweeps of needles of known lengths, and their errors.
-
-    Parameters
-    ----------
-    needle
-        True needle, for the errors only.
-    seed
-        Seed of the random samples.
-    """
+    """All `ESTIMATORS` on sweeps of needles of known lengths; the true needle serves the errors."""
 
     def __init__(self, needle: StraightNeedle, seed: int) -> None:
         self._needle = needle

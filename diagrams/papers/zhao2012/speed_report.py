@@ -109,13 +109,7 @@ _SETTLED = 1.0
 
 
 def loop_rows(outcomes: Sequence[Outcome]) -> list[StudyRow]:
-    """Return the rows of the runs in the loop.
-
-    Parameters
-    ----------
-    outcomes
-        Outcomes of all experiments.
-    """
+    """Return the rows of the runs in the loop, of the outcomes of all experiments."""
     names = list(dict.fromkeys(each.case.experiment for each in outcomes))
     rows: list[StudyRow] = []
     if CLOSED_LOOP in names:

@@ -91,13 +91,7 @@ def tracker_parameters() -> Zhao2012TrackerParameters:
 
 
 class BMode:
-    """Conversion of the phantom's radio-frequency sweeps to grey volumes of 0.4 mm voxels.
-
-    Parameters
-    ----------
-    geometry
-        Geometry of the sweeps.
-    """
+    """Conversion of the phantom's radio-frequency sweeps to grey volumes of 0.4 mm voxels."""
 
     _STEP = 4
     _DEPTHS = (0.034, 0.066)
