@@ -50,7 +50,11 @@ OPEN_VALUES: Mapping[str, Sequence[str]] = {
     },
     **{
         f"candidates of a volume {size} mm3": [f"tracker.localization.candidate_volume={size}e-9"]
-        for size in (60, 120, 250, 800)
+        for size in (120, 250, 800)
+    },
+    **{
+        f"tracked from {length} mm on": [f"tracker.localization.min_length={length}e-3"]
+        for length in (10, 15, 25)
     },
     **{
         f"alpha_0 {angle} deg": [f"tracker.localization.max_angle_deg={angle}"]
