@@ -106,7 +106,7 @@ def report(outcomes: Sequence[Outcome], logs: Path | None = None) -> Study:
         rows += speed_rows(name, found)
     if logs and any(speeds.values()):
         figures.append(plot_speeds(speeds))
-    rows += _kept_voxel_rows(outcomes) + loop_rows(outcomes)
+    rows += _kept_voxel_rows(outcomes) + _open_value_rows(outcomes) + loop_rows(outcomes)
     seconds = [s for each in outcomes for s in each.result.get("seconds", [])]
     return Study(
         paper="zhao2012",
@@ -247,6 +247,29 @@ def _kept_voxel_rows(outcomes: Sequence[Outcome]) -> list[StudyRow]:
             interval = run_interval(list(values[:, np.newaxis]), _median)
             quantity = f"tip error of RANSAC, {kept} mm3 kept, median"
             rows.append(_row(name, quantity, "mm", True, _median(values), interval))
+    return rows
+
+
+def _open_value_rows(outcomes: Sequence[Outcome]) -> list[StudyRow]:
+    """Return by how much the published filter's tip is better than RANSAC's with each noise."""
+    tips = [each.result["tip_mm"] for each in outcomes if each and "open values" in each.case.name]
+    runs = {
+        name: [np.array(each[name][2:], dtype=float) ** 2 for each in tips]
+        for name in (tips[0] if tips else ())
+    }
+    rows = []
+    for name, squares in runs.items():
+
+        def reduction(of: NDArray[Any], squares: Any = squares) -> float:
+            means = (np.nanmean(np.concatenate([each[i] for i in of.astype(int)]))
+                     for each in (squares, runs["RANSAC"]))  # fmt: skip
+            return 100 * (1 - float(np.sqrt(next(means) / next(means))))
+
+        every = np.arange(len(tips))
+        interval = run_interval(list(every[:, np.newaxis]), reduction)
+        quantity = f"tip: RMSE less than with RANSAC, {name}"
+        if name != "RANSAC":
+            rows.append(_row("open values", quantity, "%", True, reduction(every), interval))
     return rows
 
 

@@ -43,17 +43,31 @@ VELOCIMETER = SpeckleVelocimeterParameters(
     min_correlation=0.5,
     max_distance=1e-3,
     displacement_std=[0.2, 0.2, 0.3],
-    min_speed_std=2e-3,
 )
-"""Parameters with the published windows, in planes, lines and samples.
+"""Parameters with the published windows, in planes, lines and samples."""
 
-The kernel also holds tissue at rest, so the velocity is some per cent too small, by much the same
-in every volume. A filter that takes this for noise trusts it more with each volume, and lags.
-"""
 
-MOTION = NeedleMotionParameters(insertion=0, body=1e-9)
-TURNING = 2e-6
-"""Noise Q of both filters: the same in every direction, in m^2/s^3 and rad^2/s; not published."""
+@dataclass(frozen=True)
+class Noise:
+    """Noise that the paper does not publish, the same in every direction, of both filters.
+
+    `tip`, `turning`: Q of the tip in m^2/s^3 and of the direction in rad^2/s. `velocity_std`: of R,
+    in m/s. The kernel also holds tissue at rest, so the velocity is some per cent too small, by
+    much the same in every volume. A filter that takes this for noise trusts it ever more, and lags.
+    """
+
+    tip: float = 1e-9
+    turning: float = 2e-6
+    velocity_std: float = 2e-3
+
+    def filter(self, **more: float) -> AxisTipFilter:
+        """Return the filter with this noise Q."""
+        motion = NeedleMotionParameters(insertion=0, body=self.tip)
+        return AxisTipFilter(motion=motion, turning=self.turning, **more)
+
+    def velocimeter(self, **more: float) -> SpeckleVelocimeterParameters:
+        """Return the velocimeter with the published windows and this noise R."""
+        return replace(VELOCIMETER, min_speed_std=self.velocity_std, **more)
 
 
 def tracker_parameters() -> Zhao2012TrackerParameters:
@@ -78,13 +92,8 @@ def tracker_parameters() -> Zhao2012TrackerParameters:
             # This needle is a cloud of scatterers, without a wall that would reflect.
             echo_offset=0.0,
         ),
-        velocimeter=VELOCIMETER,
-        filter=AxisTipFilter(
-            motion=MOTION,
-            turning=TURNING,
-            first_speed_std=1e-3,
-            first_drift_std=0.2e-3,
-        ),
+        velocimeter=Noise().velocimeter(),
+        filter=Noise().filter(first_speed_std=1e-3, first_drift_std=0.2e-3),
         # The dynamic needle begins with 5 mm.
         track=TrackParameters(withdrawn_length=2e-3),
     )
