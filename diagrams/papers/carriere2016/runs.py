@@ -40,7 +40,7 @@ TAUGHT, AS_PUBLISHED = "taught", "as_published"
 """Names of the methods beside `ESTIMATORS`: our particle filter with the learnt wander, and the
 whole published method."""
 
-UNTAUGHT = WanderParameters(amplitude=0.1, spread=1.0, across=0.05, across_spread=1.0)
+UNTAUGHT = WanderParameters(spread=1.0, across_spread=1.0)
 """Distribution of the wander before the first needle is seen."""
 
 

@@ -72,7 +72,7 @@ NOTES = (
     "published (Zhao2012AsPublishedParameters).",
     "Speed in the loop: after a first push at 9 mm/s, the speeds follow one another in one run. A "
     "tracked volume counts from 1 s after a change on. Without velocimeter: our tracker after "
-    "Chatelain 2013, on the same seeds.",
+    "Chatelain 2013 with the same filter, and with its own, on the same seeds.",
 )
 """Paragraphs of the report."""
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from sonoservo.diagrams.papers.zhao2012.report import report
 from sonoservo.diagrams.papers.zhao2012.runs import run_case
-from sonoservo.diagrams.papers.zhao2012.speed_report import NO_VELOCIMETER
+from sonoservo.diagrams.papers.zhao2012.speed_report import INTERACTING, NO_VELOCIMETER
 from sonoservo.diagrams.studies.following.cases import AS_PUBLISHED
 from sonoservo.diagrams.studies.runs import run_cases
 from sonoservo.diagrams.studies.store import Store
@@ -108,8 +108,10 @@ def _loop_cases(options: StudyOptions) -> list[Case]:
         for name, (duration, pushes) in LOOP_PUSHES.items():
             changes = [f"duration={duration}", "hand.start=2", f"hand.pushes={_as_yaml(pushes)}"]
             add(f"speed in the loop, {name}", seed, "tracker=zhao2012", *changes)
-            without = f"speed in the loop, {name}{NO_VELOCIMETER}"
-            add(without, seed, "tracker=chatelain2013", *changes, compared=False)
+            for ending, kind in ((NO_VELOCIMETER, "axis_tip"), (INTERACTING, "interacting")):
+                tracker = ("tracker=chatelain2013", f"tracker.filter={{kind: {kind}}}")
+                ours = f"speed in the loop, {name}{ending}"
+                add(ours, seed, *tracker, *changes, compared=False)
     return cases
 
 

@@ -96,7 +96,13 @@ CLOSED_LOOP = "closed loop"
 """Name of the experiment with fig. 5 as it is."""
 
 NO_VELOCIMETER = ", without velocimeter"
-"""Ending of the name of an experiment with a tracker that has no velocimeter."""
+INTERACTING = ", interacting filter"
+"""Endings of the names of the experiments with our trackers that have no velocimeter."""
+
+_BASELINES = {
+    NO_VELOCIMETER: "the same filter without velocimeter",
+    INTERACTING: "our interacting filter",
+}
 
 WITHIN = 0.5
 """Largest bias of the speed that is aimed at, in mm/s."""
@@ -125,20 +131,30 @@ def loop_rows(outcomes: Sequence[Outcome]) -> list[StudyRow]:
 def _speed_rows(outcomes: Sequence[Outcome], name: str) -> list[StudyRow]:
     """Return bias and root mean square error of the estimated speed at each true speed."""
     group = Comparison(outcomes, name)
-    without = MethodRuns(outcomes, name + NO_VELOCIMETER)
-    ours, published, baseline = (
-        [loop_errors(run) for run in each.runs] for each in (group.ours, group.published, without)
+    ours, published = (
+        [loop_errors(run) for run in each.runs] for each in (group.ours, group.published)
     )
+    baselines = {
+        label: [loop_errors(run) for run in MethodRuns(outcomes, name + ending).runs]
+        for ending, label in _BASELINES.items()
+    }
     rows = []
-    for speed in sorted({each for run in (*ours, *published, *baseline) for each in run}):
+    for speed in sorted({each for run in (*ours, *published) for each in run}):
         when = f"at {speed:g} mm/s, while tracked, from {_SETTLED:g} s after a change on"
         for what, figure in (("bias", bias), ("RMSE", rmse)):
             quantity = f"speed along the needle, {what} {when}"
             values = _values(ours, speed, figure) | _values(published, speed, figure, "published_")
             rows.append(StudyRow(experiment=name, quantity=quantity, unit="mm/s", **values))
-            quantity += ", our filter without velocimeter"
-            values = _values(baseline, speed, figure)
-            rows.append(StudyRow(experiment=name, quantity=quantity, unit="mm/s", **values))
+            rows += [
+                StudyRow(
+                    experiment=name,
+                    quantity=f"{quantity}, {label}",
+                    unit="mm/s",
+                    **_values(baseline, speed, figure),
+                )
+                for label, baseline in baselines.items()
+                if baseline
+            ]
         quantity = f"volumes not tracked at {speed:g} mm/s, from {_SETTLED:g} s after a change on"
         values = _values(ours, speed, _missing) | _values(published, speed, _missing, "published_")
         rows.append(StudyRow(experiment=name, quantity=quantity, unit="%", **values))

@@ -52,7 +52,9 @@ def test_speeds_are_judged_by_true_speed_and_method(rows):
     assert bias.low == pytest.approx(0.2, abs=1e-6)
     assert bias.published_true == pytest.approx(-2.0, abs=1e-6)
     assert rows[SPEED, f"speed along the needle, RMSE {when}"].published_true == pytest.approx(2.0)
-    baseline = rows[SPEED, f"speed along the needle, bias {when}, our filter without velocimeter"]
+    baseline = rows[
+        SPEED, f"speed along the needle, bias {when}, the same filter without velocimeter"
+    ]
     assert baseline.true == pytest.approx(0.0, abs=1e-6)
     assert baseline.published_true is None
     size = rows[SPEED, f"speed along the needle, size of the bias {when}"]

@@ -16,7 +16,7 @@ from sonoservo.diagrams.papers.zhao2012.runs import (
     SPEEDOMETERS,
     run_case,
 )
-from sonoservo.diagrams.papers.zhao2012.speed_report import NO_VELOCIMETER
+from sonoservo.diagrams.papers.zhao2012.speed_report import INTERACTING, NO_VELOCIMETER
 from sonoservo.diagrams.studies.following.analysis import load_case
 from sonoservo.diagrams.studies.following.cases import AS_PUBLISHED
 from sonoservo.diagrams.studies.study import Case, Outcome, StudyOptions
@@ -215,9 +215,9 @@ def test_as_many_runs_as_published(tmp_path):
     assert {kind for name, kind in kinds.items() if name.endswith(AS_PUBLISHED)} == {
         "zhao2012_as_published"
     }
-    assert {kind for name, kind in kinds.items() if name.endswith(NO_VELOCIMETER)} == {
-        "chatelain2013"
-    }
+    for ending, kind in ((NO_VELOCIMETER, "axis_tip"), (INTERACTING, "interacting")):
+        without = [loop.tracker for name, loop in loops.items() if name.endswith(ending)]
+        assert {(each.kind, each.filter.kind) for each in without} == {("chatelain2013", kind)}
     pushed = {push.speed for loop in loops.values() for push in loop.hand.pushes}
     assert {0.0, 0.002, 0.005, 0.008, 0.01, 0.015} <= pushed
     assert all(sum(p.speed * p.duration for p in x.hand.pushes) < 0.1 for x in loops.values())
