@@ -31,19 +31,9 @@ def require_paper(paper: str) -> None:
 
 
 def reproduce(paper: str, options: "StudyOptions") -> "Study":
-    """Repeat the experiments of a paper or study; its package is imported on demand.
+    """Repeat the experiments of one of the `PAPERS` or `STUDIES`, and return the study.
 
-    Parameters
-    ----------
-    paper
-        Name of one of the `PAPERS` or `STUDIES`.
-    options
-        Folder, seeds and number of processes.
-
-    Raises
-    ------
-    ConfigurationError
-        If there is no such paper or study.
+    Its package is imported on demand. Another name raises ConfigurationError.
     """
     require_paper(paper)
     room = "papers" if paper in PAPERS else "studies"

@@ -62,19 +62,9 @@ _MAIN_FIGURES = {
 def keep_results(studies: Sequence[Study], command: str) -> None:
     """Keep the records of studies in their packages, and write the tables that are made of them.
 
-    Parameters
-    ----------
-    studies
-        Finished studies.
-    command
-        Command that repeats them.
-
-    Raises
-    ------
-    ConfigurationError
-        If the program was not started from a checkout of its repository, its code was not
-        committed, or other code than the present one made a run. Failed runs are no reason: they
-        are part of the statistics, and their number is kept.
+    `command` repeats the studies. ConfigurationError is raised if the program was not started from
+    a checkout, its code was not committed, or other code than the present one made a run. Failed
+    runs are part of the statistics.
     """
     if not (_ROOT / "pyproject.toml").is_file():
         raise ConfigurationError("--keep: results are kept in a checkout of the repository only")
@@ -87,10 +77,10 @@ def keep_results(studies: Sequence[Study], command: str) -> None:
 
 @cache
 def kept_results(paper: str) -> dict[str, Any] | None:
-    """Return the figures of a paper's kept results, as in study.json; None if there are none.
+    """Return a paper's kept results as in study.json, by the present definitions; None if none.
 
-    They are made of the records of its runs by the present definitions. `outdated` tells whether
-    the code of the runs has changed since. An older file of figures without records is outdated.
+    `outdated`: whether the code of the runs has changed since; figures without records are
+    outdated.
     """
     records = read_records(_folder(paper) / RECORDS)
     if records is not None:
@@ -112,16 +102,10 @@ def study_room(name: str) -> str:
 
 
 def results_table(kept: Mapping[str, Any], rows: str) -> str:
-    """Return results as Markdown: where they come from, whether that is outdated, and a table.
+    """Return results as Markdown: where they come from, whether they are outdated, and a table.
 
-    Parameters
-    ----------
-    kept
-        Contents of study.json.
-    rows
-        "all", folded by experiment; "published" for those with a figure of the paper; in the study
-        of robustness, "thresholds" for the strengths at which success ends, and "experiments" for a
-        line with the main figures of each experiment.
+    `kept`: contents of study.json; `rows`: "all" rows, folded by experiment; "published" ones, with
+    a figure of the paper; of the study of robustness, "thresholds" or "experiments".
     """
     numbers = sorted({len(seeds) for seeds in kept["seeds"].values()})
     seeds = " to ".join(map(str, dict.fromkeys((numbers[0], numbers[-1]))))
@@ -169,13 +153,7 @@ def write_tables() -> None:
 
 
 def with_tables(text: str) -> str:
-    """Return a page with its tables as the kept results give them.
-
-    Parameters
-    ----------
-    text
-        Page with marks ``<!-- results PAPER ROWS -->`` and ``<!-- end of results -->``.
-    """
+    """Return a page with the tables between its marks as the kept results give them."""
 
     def table(found: re.Match[str]) -> str:
         paper, rows = found.groups()

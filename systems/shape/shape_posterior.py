@@ -52,7 +52,8 @@ class WanderParameters(Bounded):
     spread
         Standard deviation of the logarithm of that amplitude.
     across, across_spread
-        The same for the curvature out of the plane.
+        The same for the curvature out of the plane, which also stands for a plane that drifts and
+        for a rotation that is some degrees off.
     most
         Largest amplitude, relative to the mean curvature. Without a limit, tissue that shifts with
         the breath would count as a needle that bends to and fro.
@@ -62,7 +63,7 @@ class WanderParameters(Bounded):
 
     amplitude: NotNegative = 0.1
     spread: Positive = 0.6
-    across: Positive = 0.03
+    across: Positive = 0.1
     across_spread: Positive = 0.6
     most: Positive = 0.5
     length: Positive = 0.02

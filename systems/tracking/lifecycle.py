@@ -10,7 +10,7 @@ from sonoservo.systems.signals.line_hypotheses import LineHypotheses
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
 from sonoservo.systems.signals.needle_prediction import NeedlePrediction
 from sonoservo.systems.signals.velocity_measurement import VelocityMeasurement
-from sonoservo.systems.tracking.needle_filter import NeedleFilter, NeedleState
+from sonoservo.systems.tracking.needle_filter import NeedleFilter
 from sonoservo.systems.tracking.track import Track
 
 
@@ -28,12 +28,6 @@ class Lifecycle(Protocol):
     @property
     def probe_frame(self) -> bool:
         """Whether the needle's state moves along with the probe between volumes."""
-
-    def without_needle(self, time: float, reason: str = "") -> Track:
-        """Return the track at a time in s while there is no needle."""
-
-    def confirm(self, state: NeedleState, time: float, innovation: float | None = None) -> Track:
-        """Return a track that is confirmed by a measurement at a time in s."""
 
     def predict(
         self,

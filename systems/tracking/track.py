@@ -1,6 +1,7 @@
 """Track of a needle at one time."""
 
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,7 +10,11 @@ from pydrake.math import RigidTransform
 from sonoservo.systems.signals.immutable import Immutable
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
+from sonoservo.systems.signals.needle_prediction import NeedlePrediction
 from sonoservo.systems.tracking.needle_filter import NeedleState
+
+SUREST = 0.999
+"""Largest probability of a needle: something that nobody modelled may look like one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +66,42 @@ class Track(Immutable):
 
     def __bool__(self) -> bool:
         return self.state is not None
+
+    @classmethod
+    def without_needle(cls, time: float, reason: str = "") -> Self:
+        """Return the track at a time in s while there is no needle."""
+        return cls(TrackingMode.SEARCHING, time, reason=reason)
+
+    @classmethod
+    def confirmed(
+        cls,
+        state: NeedleState,
+        time: float,
+        innovation: float | None = None,
+        probability: float = SUREST,
+    ) -> Self:
+        """Return a track that is confirmed by a measurement at a time in s."""
+        return cls(
+            TrackingMode.TRACKING,
+            state.time,
+            state,
+            since=time,
+            innovation=innovation,
+            probability=probability,
+        )
+
+    def prediction(self, state: NeedleState, entry: NDArray[np.float64] | None) -> NeedlePrediction:
+        """Return what is expected in a volume, given a predicted state and a known (3,) entry."""
+        points = 3 * state.curve.order
+        return NeedlePrediction(
+            state.curve.order,
+            state.time,
+            state.curve,
+            state.velocity,
+            state.covariance[:points, :points],
+            entry=entry,
+            missed=self.missed,
+        )
 
     def seen_from(self, X_WP: RigidTransform) -> "Track":
         """Return the track with the probe at ``X_WP``; a state in the probe's frame moves along."""

@@ -24,15 +24,12 @@ from sonoservo.systems.signals.velocity_measurement import VelocityMeasurement
 from sonoservo.systems.tracking.innovation_gate import gate_distance, innovation_distance
 from sonoservo.systems.tracking.needle_filter import NeedleFilter, NeedleState, require_order
 from sonoservo.systems.tracking.search_region import found_again
-from sonoservo.systems.tracking.track import Track
+from sonoservo.systems.tracking.track import SUREST, Track
 from sonoservo.systems.tracking.track_parameters import TrackParameters
 
 _DETECTED, _CLUTTER = 0.6, 0.2
 """Probabilities that a volume confirms a needle which is there, and that it confirms one which is
 not: what looked like a needle once does so again."""
-
-_SUREST = 0.999
-"""Largest probability of a needle: something that nobody modelled may look like one."""
 
 _REASONS = {
     "needle": SearchReason.UNCERTAIN(" yet"),
@@ -79,21 +76,6 @@ class TrackLifecycle:
         """Largest Mahalanobis distance at which a measurement is accepted."""
         return gate_distance(self.parameters.gate, self.order)
 
-    def without_needle(self, time: float, reason: str = "") -> Track:
-        """Return the track at a time in s while there is no needle."""
-        return Track(TrackingMode.SEARCHING, time, reason=reason)
-
-    def confirm(self, state: NeedleState, time: float, innovation: float | None = None) -> Track:
-        """Return a track that is confirmed by a measurement at a time in s."""
-        return Track(
-            TrackingMode.TRACKING,
-            state.time,
-            state,
-            since=time,
-            innovation=innovation,
-            probability=_SUREST,
-        )
-
     def predict(
         self,
         track: Track,
@@ -108,17 +90,7 @@ class TrackLifecycle:
         track = track.seen_from(X_WP)
         if track.mode in (TrackingMode.TRACKING, TrackingMode.COASTING):
             assert track.state is not None
-            state = self.needle_filter.predict(track.state, time)
-            points = 3 * self.order
-            return NeedlePrediction(
-                self.order,
-                state.time,
-                state.curve,
-                state.velocity,
-                state.covariance[:points, :points],
-                entry=track.entry,
-                missed=track.missed,
-            )
+            return track.prediction(self.needle_filter.predict(track.state, time), track.entry)
         found = self.most_probable(track, lines)
         if isinstance(found, NotFound):
             return found
@@ -178,7 +150,7 @@ class TrackLifecycle:
             return self._miss(replace(track, innovation=None), time, speed, measurement.reason)
         if track.mode not in (TrackingMode.TRACKING, TrackingMode.COASTING):
             found = self.most_probable(track, lines)
-            probability = _SUREST if isinstance(found, NotFound) else min(found[1], _SUREST)
+            probability = SUREST if isinstance(found, NotFound) else min(found[1], SUREST)
             state = self.needle_filter.start(measurement)
             return self._confirmed(state, measurement, probability)
         assert track.state is not None
@@ -188,7 +160,7 @@ class TrackLifecycle:
             return self._confirmed(state, measurement, probability, track)
         if measurement.curve.direction @ track.state.curve.direction < 0:
             # Its tip has come out past its entry.
-            return self.without_needle(time, SearchReason.WITHDRAWN())
+            return Track.without_needle(time, SearchReason.WITHDRAWN())
         state = self.needle_filter.predict(track.state, measurement.time)
         distance = innovation_distance(state, measurement)
         if distance <= self.gate:
@@ -218,11 +190,9 @@ class TrackLifecycle:
         innovation: float | None = None,
     ) -> Track:
         """Return a track that a measurement confirms, which continues an earlier one or begins."""
-        track = self.confirm(state, measurement.time, innovation)
         entry = before.entry if before else None
         return replace(
-            track,
-            probability=probability,
+            Track.confirmed(state, measurement.time, innovation, probability),
             entry=state.curve.entry if entry is None else entry,
         )
 
@@ -233,7 +203,7 @@ class TrackLifecycle:
         p = self.parameters
         last = track.state
         if last is None:
-            return self.without_needle(time, reason)
+            return Track.without_needle(time, reason)
         missed = track.missed + 1
         track = replace(
             track,
@@ -242,14 +212,14 @@ class TrackLifecycle:
         )
         if time - track.since > p.seconds_to_give_up:
             leaving = self._is_leaving(last)
-            return self.without_needle(time, SearchReason.WITHDRAWN() if leaving else reason)
+            return Track.without_needle(time, SearchReason.WITHDRAWN() if leaving else reason)
         if track.mode == TrackingMode.LOST:
             return replace(track, reason=reason)
         state = self.needle_filter.predict(last, time)
         state = self.needle_filter.update(state, None, velocity)
         length = (state.curve.tip - state.curve.entry) @ last.curve.direction
         if length < p.withdrawn_length:
-            return self.without_needle(time, SearchReason.WITHDRAWN())
+            return Track.without_needle(time, SearchReason.WITHDRAWN())
         # No robot goes after a needle that was last seen to come out.
         lost = self._is_leaving(state) or missed >= p.volumes_to_lose
         mode = TrackingMode.LOST if lost else TrackingMode.COASTING
@@ -264,4 +234,4 @@ class TrackLifecycle:
 def _bayes(probability: float, ratio: float) -> float:
     """Return a probability after evidence with a likelihood ratio."""
     odds = ratio * probability / max(1 - probability, 1e-12)
-    return min(odds / (1 + odds), _SUREST) if math.isfinite(odds) else _SUREST
+    return min(odds / (1 + odds), SUREST) if math.isfinite(odds) else SUREST

@@ -90,7 +90,7 @@ class TrackManager(LeafSystem):
             explanation=(LocalizationExplanation, NotFound),
         )
         none = NotFound("no volume has been seen")
-        self._track = self.DeclareAbstractState(Value[object](self._lifecycle.without_needle(0.0)))
+        self._track = self.DeclareAbstractState(Value[object](Track.without_needle(0.0)))
         self._prediction = self.DeclareAbstractState(Value[object](none))
         self._detection = self.DeclareAbstractState(Value[object](none))
         self._measurement = self.DeclareAbstractState(Value[object](none))
@@ -128,7 +128,7 @@ class TrackManager(LeafSystem):
     def start_at(self, context: Context, measurement: NeedleMeasurement) -> None:
         """Start to track a needle found by other means, as if the last volume had shown it."""
         state = self._lifecycle.needle_filter.start(measurement)
-        track = self._lifecycle.confirm(state, measurement.time)
+        track = Track.confirmed(state, measurement.time)
         track = replace(track, volume_time=measurement.time)
         track = replace(track, entry=state.curve.entry)
         context.SetAbstractState(int(self._track), track)

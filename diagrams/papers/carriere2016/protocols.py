@@ -9,20 +9,10 @@ SETS = ("d60", "d80", "patient")
 
 @dataclass(frozen=True)
 class Protocol:
-    """Protocol of one experiment.
+    """Protocol of one experiment: name of the scenario, numbers of needles, changes.
 
-    Parameters
-    ----------
-    scenario
-        Name of the scenario.
-    seeds, quick
-        Number of needles of the study and of a quick one.
-    changes
-        Changes of the scenario.
-    whole
-        Whether the slices beyond the last one used are made, too, which the measured path needs.
-    learnt
-        Experiment whose earlier needles teach the amplitude of the wander; empty for none.
+    `whole`: whether the slices beyond the last one used are made, too, which the measured path
+    needs; `learnt`: the `LESSONS` whose needles teach the amplitude of the wander; empty for none.
     """
 
     scenario: str
@@ -45,8 +35,10 @@ _ELASTIC = ("hand.mechanics=beam", "hand.bend_radius=1.35", "hand.bend_radius_sp
 LESSONS: Mapping[str, Sequence[str]] = {
     "even": [],
     **{f"{each} %": [f"hand.curvature_wander={each / 100}"] for each in _WANDERS},
+    "drift": ["hand.bend_drift_spread_deg=30"],
+    "rotation": ["hand.rotation_angle_spread_deg=10"],
 }
-"""Changes of the scenario of the whole needles that teach the amplitude, by kind of tissue."""
+"""Changes of the scenario of the whole needles that teach the amplitude, by tissue and hand."""
 
 LESSON_SEEDS, QUICK_LESSON_SEEDS = range(900, 910), range(900, 902)
 """Seeds of these needles, none of which is reported."""
@@ -57,13 +49,13 @@ PROTOCOLS: Mapping[str, Protocol] = {
     "patient": Protocol("carriere2016_patient", 100, 4, whole=True),
     **{
         f"curvature wanders by {each} %": _departure(
-            f"hand.curvature_wander={each / 100}", seeds=50, learnt=f"{each} %"
+            *LESSONS[f"{each} %"], seeds=50, learnt=f"{each} %"
         )
         for each in _WANDERS
     },
-    "plane drifts by up to 30 deg in 0.1 m": _departure("hand.bend_drift_spread_deg=30"),
+    "plane drifts by up to 30 deg in 0.1 m": _departure(*LESSONS["drift"], learnt="drift"),
     "rotation off by up to 2 mm": _departure("hand.rotation_depth_spread=2e-3"),
-    "rotation off by up to 10 deg": _departure("hand.rotation_angle_spread_deg=10"),
+    "rotation off by up to 10 deg": _departure(*LESSONS["rotation"], learnt="rotation"),
     "breathing of 0.5 mm": _departure("breathing=0.5e-3"),
     "3 in 10 slices dropped": _departure("scanner.connection.lost_sweeps=0.3"),
     **{

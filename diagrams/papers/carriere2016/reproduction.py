@@ -27,13 +27,7 @@ from sonoservo.systems.shape.shape_posterior import WanderParameters, combined_w
 
 
 def reproduce(options: StudyOptions) -> Study:
-    """Run the study.
-
-    Parameters
-    ----------
-    options
-        Folder, number of needles, and processes or cluster.
-    """
+    """Run the study."""
     lessons = _lessons(options)
     cases = []
     for name, protocol in PROTOCOLS.items():

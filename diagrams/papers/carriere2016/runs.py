@@ -40,17 +40,12 @@ TAUGHT, AS_PUBLISHED = "taught", "as_published"
 """Names of the methods beside `ESTIMATORS`: our particle filter with the learnt wander, and the
 whole published method."""
 
-UNTAUGHT = WanderParameters(amplitude=0.1, spread=1.0, across=0.05, across_spread=1.0)
+UNTAUGHT = WanderParameters(spread=1.0, across_spread=1.0)
 """Distribution of the wander before the first needle is seen."""
 
 
 def run_needle(case: Case) -> dict[str, Any]:
-    """Push one needle, and predict its shape with every method.
-
-    Returns
-    -------
-    Summary of the run, `methods` with the figures of each, and the data of the plots.
-    """
+    """Push one needle; return its summary, each method's figures, and the data of the plots."""
     _warm_up()
     settings = case.settings
     experiment = _experiment(settings["scenario"], case.seed, settings["changes"])

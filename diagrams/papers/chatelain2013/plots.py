@@ -26,15 +26,7 @@ _ERRORS = (
 
 
 def study_figures(groups: Groups, ablations: Sequence[str]) -> list[StudyFigure]:
-    """Return all figures for which there are runs.
-
-    Parameters
-    ----------
-    groups
-        Finished runs by experiment.
-    ablations
-        Names of the ablations, as in the experiments "fig5, NAME".
-    """
+    """Return all figures of finished runs by experiment; `ablations`: the NAMEs of "fig5, NAME"."""
     figures = []
     if groups.get("fig4"):
         figures.append(

@@ -50,7 +50,11 @@ OPEN_VALUES: Mapping[str, Sequence[str]] = {
     },
     **{
         f"candidates of a volume {size} mm3": [f"tracker.localization.candidate_volume={size}e-9"]
-        for size in (60, 120, 250, 800)
+        for size in (120, 250, 800)
+    },
+    **{
+        f"tracked from {length} mm on": [f"tracker.localization.min_length={length}e-3"]
+        for length in (10, 15, 25)
     },
     **{
         f"alpha_0 {angle} deg": [f"tracker.localization.max_angle_deg={angle}"]
@@ -74,22 +78,10 @@ _NUDGES = [
 
 @dataclass(frozen=True)
 class Protocol:
-    """Protocol of one experiment.
+    """Protocol of one experiment: name of the scenario, number of seeds, and changes.
 
-    Parameters
-    ----------
-    scenario
-        Name of the scenario.
-    seeds
-        Number of seeds.
-    quick
-        Number of seeds and duration in s of a quick study.
-    changes
-        Changes of the scenario.
-    drawn
-        Function that draws further changes for a seed.
-    ours, compared
-        Whether our method and the published one are run.
+    `quick`: number of seeds and duration in s of a quick study; `drawn` draws further changes for a
+    seed; `ours`, `compared`: whether our method and the published one are run.
     """
 
     scenario: str
@@ -202,13 +194,7 @@ PROTOCOLS: Mapping[str, Protocol] = {
 
 
 def reproduce(options: StudyOptions) -> Study:
-    """Run the experiments, and compare them with the paper.
-
-    Parameters
-    ----------
-    options
-        Number of runs, folder and number of processes.
-    """
+    """Run the experiments, and compare them with the paper."""
     logs = options.folder / "logs"
     outcomes = run_cases(
         run_case,

@@ -58,14 +58,9 @@ _LONGEST_NEEDLE = 25e-3
 
 @dataclass(frozen=True)
 class StraightNeedle:
-    """A straight piece of needle inside the phantom.
+    """A straight needle inside the phantom.
 
-    Parameters
-    ----------
-    start
-        (3,) position of its rear end in T, in m.
-    direction
-        (3,) unit vector towards its tip.
+    `start`: (3,) rear end in T, in m; `direction`: (3,) unit vector towards the tip.
     """
 
     start: NDArray[np.float64]
@@ -77,18 +72,11 @@ class StraightNeedle:
 
 
 class Phantom:
-    """A phantom with a needle, and a probe at rest above it.
+    """A phantom with a needle, and a probe at rest above it; ``seed`` is that of all scatterers.
 
     T is the world frame. The needle consists of scatterers that move with it, 22 dB above the
     tissue's where the beam lies inside the needle. The tissue does not deform. The lines contain
     electronic noise.
-
-    Parameters
-    ----------
-    needle
-        Needle in the phantom.
-    seed
-        Seed of the tissue's and the needle's scatterers.
     """
 
     def __init__(self, needle: StraightNeedle, seed: int) -> None:

@@ -34,19 +34,7 @@ def plot_rmse(
     rmse: NDArray[np.floating[Any]],
     names: Mapping[str, str],
 ) -> list[StudyFigure]:
-    """Return figures of the root mean square errors of angles and of tips.
-
-    Parameters
-    ----------
-    experiment
-        Name of the experiment: "static" or "dynamic", then the kind of its volumes.
-    lengths
-        (m,) lengths of the needle, in mm.
-    rmse
-        (m, estimators, quantities) root mean square errors, in deg and mm.
-    names
-        Names of the estimators to display.
-    """
+    """Return figures of the (m, estimators, quantities) errors of angles (deg) and tips (mm)."""
     figures = []
     motion = experiment.split(",")[0]
     numbers = {"static": (2, 3), "dynamic": (4, 5)}[motion]
@@ -77,13 +65,7 @@ def plot_rmse(
 def plot_speeds(
     errors: Mapping[str, Mapping[str, Sequence[NDArray[np.float64]]]],
 ) -> StudyFigure:
-    """Return a figure of the errors of the speed along the needle, by experiment and source.
-
-    Parameters
-    ----------
-    errors
-        Errors in mm/s of each run by experiment and source; NaN if nothing was found.
-    """
+    """Return a figure of the errors of the speed in mm/s of each run, by experiment and source."""
     shown = {name: found for name, found in errors.items() if found}
     figure = Figure(figsize=(9, 1 + 0.9 * len(shown)), layout="constrained")
     axes = figure.subplots()

@@ -5,32 +5,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.diagrams.papers.zhao2012.tracking import VELOCIMETER, localize_as_published
+from sonoservo.diagrams.papers.zhao2012.tracking import Noise, localize_as_published
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
 from sonoservo.systems.signals.radio_frequency_sweep import RadioFrequencySweep
 from sonoservo.systems.signals.velocity_measurement import VelocityMeasurement
 from sonoservo.systems.signals.volume import Volume
-from sonoservo.systems.tracking.axis_tip_filter import AxisTipFilter, AxisTipState
-from sonoservo.systems.tracking.needle_motion import NeedleMotionParameters
+from sonoservo.systems.tracking.axis_tip_filter import AxisTipState
 from sonoservo.systems.tracking.speckle_velocimeter import measure_velocity
 
 Floats = NDArray[np.float64]
 
-_FILTER = AxisTipFilter(
-    motion=NeedleMotionParameters(insertion=0, body=1e-9),
-    turning=2e-6,
-    velocity_gate=1 - 1e-12,
-)
-"""The published filter: the same noise Q in every direction, and no gate on the velocity."""
-
 _STD = 0.5e-3
 """Standard deviation of tip and rear end in every direction, which gives R, in m; not published."""
-
-_VELOCIMETER = replace(VELOCIMETER, min_correlation=1e-6, min_speed_std=2e-3)
-"""The published windows. The best match counts, however badly it correlates, with an R of
-(2 mm/s)^2. The velocity is some per cent too small, and a filter that trusts it more lags."""
 
 
 def with_input(state: AxisTipState, change: float, dt: float) -> AxisTipState:
@@ -57,10 +45,14 @@ class PublishedTracking:
     """The published method, called for each volume; ``towards`` as in `Tracking`.
 
     The search region of the speckle tracking lies around the known tip, as printed; a match at its
-    border does not count. The first two volumes give RANSAC's result and initialize the filter.
+    border does not count. The best match counts, however badly it correlates, and nothing gates a
+    velocity. The first two volumes give RANSAC's result and initialize the filter.
     """
 
-    def __init__(self, towards: Floats, seed: int) -> None:
+    def __init__(self, towards: Floats, seed: int, noise: Noise | None = None) -> None:
+        noise = noise or Noise()
+        self._filter = noise.filter(velocity_gate=1 - 1e-12)
+        self._velocimeter = noise.velocimeter(min_correlation=1e-6)
         self._towards = towards
         self._rng = np.random.default_rng([seed, 8])
         self._first: NeedleMeasurement | None = None
@@ -85,14 +77,14 @@ class PublishedTracking:
         speckle: VelocityMeasurement | NotFound = NotFound("there is no earlier sweep")
         if previous is not None:
             speckle = measure_velocity(
-                sweep, previous, tip, tip, self._state.direction, _VELOCIMETER
+                sweep, previous, tip, tip, self._state.direction, self._velocimeter
             )
         dt = volume.time - self._state.time
-        state = _FILTER.predict(self._state, volume.time)
+        state = self._filter.predict(self._state, volume.time)
         if change is not None:
             state = with_input(state, change, dt)
         velocity = speckle if isinstance(speckle, VelocityMeasurement) else None
-        self._state = _FILTER.update(state, measured, velocity)
+        self._state = self._filter.update(state, measured, velocity)
         return PublishedResult(self._state.curve, self._state.tip_velocity)
 
     def _initialize(self, measured: NeedleMeasurement | None) -> PublishedResult:
@@ -102,5 +94,5 @@ class PublishedTracking:
         first, self._first = self._first, measured
         if first is not None:
             velocity = (measured.curve.tip - first.curve.tip) / (measured.time - first.time)
-            self._state = replace(_FILTER.start(measured), tip_velocity=velocity)
+            self._state = replace(self._filter.start(measured), tip_velocity=velocity)
         return PublishedResult(measured.curve, None)

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from sonoservo.diagrams.papers.zhao2012.loop_report import NO_VELOCIMETER
 from sonoservo.diagrams.papers.zhao2012.report import report
 from sonoservo.diagrams.papers.zhao2012.runs import run_case
+from sonoservo.diagrams.papers.zhao2012.speed_report import INTERACTING, NO_VELOCIMETER
 from sonoservo.diagrams.studies.following.cases import AS_PUBLISHED
 from sonoservo.diagrams.studies.runs import run_cases
 from sonoservo.diagrams.studies.store import Store
@@ -30,6 +30,13 @@ SPEEDS = (0.5, 2.0, 3.0, 5.0)
 
 KEPT_MM3 = (10, 20, 40, 60, 100, 160, 250)
 """Total volumes of the voxels that thresholding keeps, in mm^3."""
+
+NOISES: Mapping[str, Mapping[str, float]] = {
+    **{f"R ({1e3 * std:g} mm/s)^2": {"velocity_std": std} for std in (5e-5, 1.5e-4, 5e-4, 2e-3)},
+    **{f"Q {tip:g} m^2/s^3": {"tip": tip} for tip in (1e-10, 1e-8, 1e-7)},
+    **{f"Q {turning:g} rad^2/s": {"turning": turning} for turning in (2e-5, 2e-4)},
+}
+"""Changes of the published filter's `Noise` by values of what the paper leaves open."""
 
 DIRECTIONS = ([0.94, 0.2, -0.28], [0.71, 0.0, -0.71], [0.34, 0.34, -0.88])
 """Further directions of the needle, in T."""
@@ -77,6 +84,10 @@ def study_cases(options: StudyOptions) -> list[Case]:
         for length_mm in (10, 20):
             settings = {"length_mm": length_mm, "kept_mm3": list(KEPT_MM3), "phantom": seed}
             cases.append(Case(f"kept voxels, {length_mm} mm", seed, settings))
+    push = {"speed_mm_s": 1.0, "interval_s": INTERVAL, "volumes": 12 if quick else 51}
+    for seed in options.seed_range(6, 1):
+        settings = {**push, "noises": dict(NOISES), "phantom": seed}
+        cases.append(Case("open values", seed, settings))
     return cases + _loop_cases(options)
 
 
@@ -97,8 +108,10 @@ def _loop_cases(options: StudyOptions) -> list[Case]:
         for name, (duration, pushes) in LOOP_PUSHES.items():
             changes = [f"duration={duration}", "hand.start=2", f"hand.pushes={_as_yaml(pushes)}"]
             add(f"speed in the loop, {name}", seed, "tracker=zhao2012", *changes)
-            without = f"speed in the loop, {name}{NO_VELOCIMETER}"
-            add(without, seed, "tracker=chatelain2013", *changes, compared=False)
+            for ending, kind in ((NO_VELOCIMETER, "axis_tip"), (INTERACTING, "interacting")):
+                tracker = ("tracker=chatelain2013", f"tracker.filter={{kind: {kind}}}")
+                ours = f"speed in the loop, {name}{ending}"
+                add(ours, seed, *tracker, *changes, compared=False)
     return cases
 
 

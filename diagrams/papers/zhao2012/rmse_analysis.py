@@ -15,17 +15,11 @@ _ACTIVE = 2
 
 @dataclass(frozen=True)
 class Errors:
-    """Errors of an experiment.
+    """Errors of an experiment, at (m,) lengths of the needle in mm.
 
-    Parameters
-    ----------
-    lengths
-        (m,) lengths of the needle, in mm.
-    squared
-        (runs, m, estimators, quantities) mean squared errors of a run. An estimator that found
-        nothing has the worst of the other runs, and so has a failed run.
-    missing
-        (estimators,) shares of the volumes in which nothing was found, from 0 to 1.
+    `squared`: (runs, m, estimators, quantities) mean squared errors of a run; an estimator that
+    found nothing has the worst of the other runs, and so has a failed run. `missing`: (estimators,)
+    shares of the volumes in which nothing was found.
     """
 
     lengths: NDArray[np.float64]

@@ -16,7 +16,12 @@ from sonoservo.diagrams.papers.zhao2012.phantom import (
     StraightNeedle,
 )
 from sonoservo.diagrams.papers.zhao2012.published_tracking import PublishedTracking
-from sonoservo.diagrams.papers.zhao2012.tracking import BMode, Tracking, localize_as_published
+from sonoservo.diagrams.papers.zhao2012.tracking import (
+    BMode,
+    Noise,
+    Tracking,
+    localize_as_published,
+)
 from sonoservo.diagrams.studies.following.cases import run_case as run_loop
 from sonoservo.diagrams.studies.study import Case, WithFiles
 from sonoservo.systems.signals.immutable import NotFound
@@ -53,15 +58,9 @@ def _b_mode(geometry: SweepGeometry) -> BMode:
 
 
 def _phantom(settings: Mapping[str, Any]) -> Phantom:
-    """Return a phantom with speckle of its own and its needle shifted by up to 0.3 mm.
+    """Return a phantom with speckle of its own and its needle shifted off the grid by up to 0.3 mm.
 
-    The shift prevents the needle from being aligned with the grid.
-
-    Parameters
-    ----------
-    settings
-        Seed (`phantom`) and perhaps the needle's `direction` in T and its shift in depth,
-        `deeper_mm`.
+    Of the settings, `phantom` is the seed; `direction` in T and `deeper_mm` may move the needle.
     """
     seed = settings["phantom"]
     direction = np.array(settings.get("direction", DIRECTION))
@@ -83,15 +82,7 @@ def _errors(curve: NeedleCurve | None, needle: StraightNeedle, length: float) ->
 
 
 class _Estimators:
-    """All `ESTIMATORS` on sweeps of needles of known lengths, and their errors.
-
-    Parameters
-    ----------
-    needle
-        True needle, for the errors only.
-    seed
-        Seed of the random samples.
-    """
+    """All `ESTIMATORS` on sweeps of needles of known lengths; the true needle serves the errors."""
 
     def __init__(self, needle: StraightNeedle, seed: int) -> None:
         self._needle = needle
@@ -193,6 +184,31 @@ def run_static(case: Case) -> Mapping[str, Any]:
     return {"errors": errors}
 
 
+def run_open_values(case: Case) -> Mapping[str, Any]:
+    """Push a needle, and track it by RANSAC and the published filter with each noise of `noises`.
+
+    Returns the errors of the tip in mm by the noise's name; None where nothing was found.
+    """
+    settings, phantom = case.settings, _phantom(case.settings)
+    b_mode, rng = _b_mode(phantom.renderer.geometry), np.random.default_rng([case.seed, 5])
+    trackers = {
+        name: PublishedTracking(TOWARDS, case.seed, replace(Noise(), **changes))
+        for name, changes in settings["noises"].items()
+    }
+    tips: dict[str, list[float | None]] = {name: [] for name in ("RANSAC", *trackers)}
+    for number in range(settings["volumes"]):
+        time = number * settings["interval_s"]
+        length = 1e-3 * (5 + settings["speed_mm_s"] * time)
+        sweep = phantom.sweep(length, time)
+        volume = b_mode(sweep)
+        found = localize_as_published(volume, TOWARDS, 1, rng)
+        curves = {"RANSAC": None if isinstance(found, NotFound) else found.curve}
+        curves |= {name: track(sweep, volume).curve for name, track in trackers.items()}
+        for name, curve in curves.items():
+            tips[name].append(_errors(curve, phantom.needle, length)[-1])
+    return {"tip_mm": tips}
+
+
 def run_kept_voxels(case: Case) -> Mapping[str, Any]:
     """Localize one needle by the published RANSAC with several numbers of kept voxels."""
     phantom, rng = _phantom(case.settings), np.random.default_rng([case.seed, 6])
@@ -210,6 +226,7 @@ RUNS: Mapping[str, Callable[[Case], Mapping[str, Any] | WithFiles]] = {
     "static": run_static,
     "dynamic": run_dynamic,
     "kept voxels": run_kept_voxels,
+    "open values": run_open_values,
     "closed loop": run_loop,
     "speed in the loop": run_loop,
 }

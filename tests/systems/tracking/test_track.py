@@ -86,12 +86,12 @@ def lines(*, needle=0.99, looks=0.0, looked=0, kind="needle", y=0.0):
 
 
 def tracked(life, time=0.0):
-    return life.confirm(life.needle_filter.start(measurement(time=time)), time)
+    return Track.confirmed(life.needle_filter.start(measurement(time=time)), time)
 
 
 def test_a_line_that_is_a_needle_is_localized_and_followed():
     life = lifecycle()
-    track = life.without_needle(0.0)
+    track = Track.without_needle(0.0)
     expected = life.predict(track, 1.0, STILL, lines())
     assert expected.found
     np.testing.assert_allclose(expected.curve.control_points, lines().ends[1])
@@ -118,9 +118,10 @@ def test_a_line_that_is_a_needle_is_localized_and_followed():
 )
 def test_a_line_that_is_none_says_what_it_is_like(kind, words):
     life = lifecycle()
-    reason = life.predict(life.without_needle(0.0), 1.0, STILL, lines(needle=0.9, kind=kind)).reason
+    nothing = Track.without_needle(0.0)
+    reason = life.predict(nothing, 1.0, STILL, lines(needle=0.9, kind=kind)).reason
     assert (reason, SearchReason.of(str(reason)).words) == (words, words)
-    assert life.predict(life.without_needle(0.0), 1.0, STILL, NO_LINES) is NO_LINES
+    assert life.predict(nothing, 1.0, STILL, NO_LINES) is NO_LINES
 
 
 @pytest.mark.parametrize(
@@ -137,7 +138,7 @@ def test_a_line_at_rest_is_a_needle_by_its_looks_where_that_is_allowed(
     anywhere, lost, looks, looked, found
 ):
     life = lifecycle(anywhere=anywhere)
-    track = life.without_needle(0.0)
+    track = Track.without_needle(0.0)
     if lost:
         track = dataclasses.replace(tracked(life), mode=TrackingMode.LOST)
     resting = lines(needle=0.0, looks=looks, looked=looked, kind="resting")

@@ -84,16 +84,9 @@ class PublishedParticleFilterParameters(ShapeEstimatorParameters):
 
 @dataclass(frozen=True, eq=False)
 class PublishedBelief(Immutable):
-    """Particles and measurements of the published filter.
+    """Particles (n, 2), R in m and theta_0 in rad, and (m, 3) measured x, y, depth in I, in m.
 
-    Parameters
-    ----------
-    particles
-        (n, 2) particles: R in m and theta_0 in rad.
-    points
-        (m, 3) measured x, y and depth in I, in m.
-    plane
-        Angle phi in rad from all points so far; None before the start depth.
+    ``plane`` is phi in rad from all points so far; None before the start depth.
     """
 
     particles: Floats
@@ -102,13 +95,7 @@ class PublishedBelief(Immutable):
 
 
 class PublishedParticleFilter:
-    """Published particle filter, a `ShapeFilter`.
-
-    Parameters
-    ----------
-    parameters
-        Numbers of particles and points, gain and prior.
-    """
+    """Published particle filter, a `ShapeFilter`."""
 
     def __init__(self, parameters: PublishedParticleFilterParameters) -> None:
         self.parameters = parameters

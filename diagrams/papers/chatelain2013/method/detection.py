@@ -1,16 +1,19 @@
 """Detection of an insertion as published, with nothing added to it."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
 
-from sonoservo.diagrams.papers.chatelain2013.method.field_of_view import closest_face
-from sonoservo.diagrams.papers.chatelain2013.method.geometric_median import geometric_median
-from sonoservo.diagrams.papers.chatelain2013.method.volume_difference import top_differences
+from sonoservo.systems.sampling.kernels import chosen_ties
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.insertion_detection import InsertionDetection
 from sonoservo.systems.signals.requirements import Bounded, Positive
 from sonoservo.systems.signals.volume import Volume
+
+_ALL = np.ones((1, 1, 1), bool)
 
 
 @dataclass(kw_only=True)
@@ -80,3 +83,119 @@ def _moved(volume: Volume, previous: Volume) -> float:
     p_P = corners.reshape(-1, 3).T
     apart = volume.X_WP.multiply(p_P) - previous.X_WP.multiply(p_P)
     return float(np.linalg.norm(apart, axis=0).max())
+
+
+@njit(cache=True, nogil=True)
+def _changes(  # pragma: no cover - compiled
+    a: Any, b: Any, seen_a: Any, seen_b: Any, both: bool
+) -> Any:
+    """Find the voxels that differ, and by how much."""
+    nx, ny, nz = a.shape
+    capacity = 65536
+    index = np.empty(capacity, np.int64)
+    change = np.empty(capacity, np.float32)
+    found = 0
+    for i in range(nx):
+        for j in range(ny):
+            for k in range(nz):
+                x, y = float(a[i, j, k]), float(b[i, j, k])
+                if x == y or (both and not (seen_a[i, j, k] and seen_b[i, j, k])):
+                    continue
+                if found == capacity:
+                    capacity *= 2
+                    index = np.concatenate((index, np.empty_like(index)))
+                    change = np.concatenate((change, np.empty_like(change)))
+                index[found] = (i * ny + j) * nz + k
+                change[found] = abs(x - y)
+                found += 1
+    return index[:found], change[:found]
+
+
+def top_differences(
+    current: NDArray[Any],
+    previous: NDArray[Any],
+    count: int,
+    *,
+    seen: tuple[NDArray[np.bool_], NDArray[np.bool_]] | None = None,
+) -> tuple[NDArray[np.int64], float]:
+    """Find the voxels with the largest absolute difference (Chatelain 2013, eq. 1).
+
+    The threshold is the order statistic that leaves ``count`` voxels; of those that equal it, a
+    subset scattered over the volume is taken. Only voxels that both volumes show (``seen``) are
+    compared. Returns their (m, 3) indices and the smallest difference among them, 0 if nothing
+    changed.
+    """
+    seen_now, seen_before = seen or (_ALL, _ALL)
+    index, change = _changes(current, previous, seen_now, seen_before, seen is not None)
+    if len(index) == 0:
+        return np.empty((0, 3), np.int64), 0.0
+    if len(index) > count:
+        threshold = np.partition(change, -count)[-count]
+        above = index[change > threshold]
+        ties = chosen_ties(index[change == threshold], count - len(above))
+        index = np.concatenate([above, ties])
+    else:
+        threshold = change.min()
+    return np.stack(np.unravel_index(index, current.shape), axis=1), float(threshold)
+
+
+def geometric_median(
+    points: ArrayLike, *, tolerance: float = 1e-7, max_trials: int = 200
+) -> NDArray[np.float64]:
+    """Return the (d,) geometric median of (m, d) points (Chatelain 2013, eq. 2).
+
+    Weiszfeld's iteration starts at their mean and steps beyond a point that it hits (Vardi and
+    Zhang 2000). No point raises ValueError.
+    """
+    points = np.asarray(points, dtype=float)
+    if points.ndim != 2 or len(points) == 0:
+        raise ValueError(f"points has shape {points.shape}; expected (m, d) with m > 0")
+    median = points.mean(axis=0)
+    for _ in range(max_trials):
+        distance = np.linalg.norm(points - median, axis=1)
+        apart = distance > tolerance
+        if not apart.any():
+            return median
+        weights = 1 / distance[apart]
+        target = weights @ points[apart] / weights.sum()
+        here = len(points) - np.count_nonzero(apart)
+        if here:
+            pull = float(np.linalg.norm(weights @ (points[apart] - median)))
+            target = median + max(0.0, 1 - here / max(pull, 1e-300)) * (target - median)
+        step = float(np.linalg.norm(target - median))
+        median = target
+        if step < tolerance:
+            break
+    return median
+
+
+def closest_face(volume: Volume, p_P: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Project a position, (3,) in P, in m, on the closest of the six faces of the field of view."""
+    faces = _faces(volume, p_P)
+    return np.asarray(faces[np.argmin(np.linalg.norm(faces - p_P, axis=1))])
+
+
+def _faces(volume: Volume, p_P: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return (6, 3) projections: on two lateral and two elevation sides, the probe and the end."""
+    if volume.motion is None:
+        return _ends_of_what_is_seen(volume, p_P)
+    geometry, direction = volume.motion.geometry, volume.motion.direction
+    k, j, i = (float(x) for x in geometry.index(p_P, direction))
+    frames, lines, samples = (n - 1 for n in geometry.shape)
+    return geometry.position(
+        [k, k, 0, frames, k, k], [0, lines, j, j, j, j], [i, i, i, i, 0, samples], direction
+    )
+
+
+def _ends_of_what_is_seen(volume: Volume, p_P: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return (6, 3) positions to either side along X, Z and Y of P where what is seen ends."""
+    last = np.array(volume.intensities.shape) - 1
+    at = np.clip(np.rint((p_P - volume.origin) / volume.spacing), 0, last).astype(int)
+    ends = np.repeat(p_P[np.newaxis], 6, axis=0)
+    for row, axis in ((0, 0), (2, 2), (4, 1)):
+        line = [slice(int(i), int(i) + 1) for i in at]
+        line[axis] = slice(None)
+        seen = np.flatnonzero(volume.seen[tuple(line)])
+        outermost = seen[[0, -1]] if len(seen) else np.array([0, last[axis]])
+        ends[row : row + 2, axis] = volume.origin[axis] + volume.spacing[axis] * outermost
+    return ends

@@ -19,7 +19,7 @@ from sonoservo.systems.signals.requirements import (
     check_bounds,
 )
 from sonoservo.systems.signals.velocity_measurement import VelocityMeasurement
-from sonoservo.systems.tracking.needle_filter import NeedleFilter, NeedleState, require_order
+from sonoservo.systems.tracking.needle_filter import NeedleFilter, require_order
 from sonoservo.systems.tracking.track import Track
 
 _NO_LINES = NotFound("no lines are followed")
@@ -61,21 +61,6 @@ class PublishedLifecycle:
         require_order(self.order, self.needle_filter)
         check_bounds(self)
 
-    def without_needle(self, time: float, reason: str = "") -> Track:
-        """Return the track at a time in s while there is no needle."""
-        return Track(TrackingMode.SEARCHING, time, reason=reason)
-
-    def confirm(self, state: NeedleState, time: float, innovation: float | None = None) -> Track:
-        """Return a track that is confirmed by a measurement at a time in s."""
-        return Track(
-            TrackingMode.TRACKING,
-            state.time,
-            state,
-            since=time,
-            innovation=innovation,
-            probability=1.0,
-        )
-
     def predict(
         self,
         track: Track,
@@ -89,16 +74,7 @@ class PublishedLifecycle:
             return NotFound("no needle has been detected")
         searching = track.mode == TrackingMode.SEARCHING
         state = state if searching else self.needle_filter.predict(state, time)
-        points = 3 * self.order
-        return NeedlePrediction(
-            self.order,
-            state.time,
-            state.curve,
-            state.velocity,
-            state.covariance[:points, :points],
-            entry=None if searching else state.curve.entry,
-            missed=track.missed,
-        )
+        return track.prediction(state, None if searching else state.curve.entry)
 
     def next(
         self,
@@ -122,12 +98,12 @@ class PublishedLifecycle:
         state = self.needle_filter.predict(track.state, time)
         state = self.needle_filter.update(state, measured, speed)
         if (state.curve.tip - state.curve.entry) @ _direction(track) < self.min_length:
-            return self.without_needle(time, "the needle is too short to be tracked")
+            return Track.without_needle(time, "the needle is too short to be tracked")
         if measured is not None:
-            return self.confirm(state, time)
+            return Track.confirmed(state, time)
         missed = track.missed + 1
         if missed >= self.volumes_to_end:
-            return self.without_needle(time, reason)
+            return Track.without_needle(time, reason)
         mode = TrackingMode.COASTING
         return replace(track, mode=mode, time=time, state=state, missed=missed, reason=reason)
 
@@ -140,7 +116,7 @@ class PublishedLifecycle:
     ) -> Track:
         """Return the track after a volume in which no needle was tracked yet."""
         if isinstance(measurement, NeedleMeasurement):
-            return self.confirm(self.needle_filter.start(measurement), measurement.time)
+            return Track.confirmed(self.needle_filter.start(measurement), measurement.time)
         if isinstance(detection, NotFound):
             reason = measurement.reason if track else detection.reason
             return replace(track, time=time, reason=reason)

@@ -5,9 +5,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import minimize
 
-from sonoservo.diagrams.papers.chatelain2013.method.intensity_drop import intensity_drops
-from sonoservo.diagrams.papers.chatelain2013.method.local_optimization import optimize_locally
 from sonoservo.systems.signals.acquisition import acquired_from
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.localization_explanation import (
@@ -24,6 +23,12 @@ from sonoservo.systems.tracking.axis import Axis, axis_through
 from sonoservo.systems.tracking.candidates import select_candidates
 from sonoservo.systems.tracking.ransac import RansacParameters, ransac_axis
 from sonoservo.systems.tracking.tip import TipParameters, axis_profile
+
+_FIRST_STEP = 0.5e-3
+"""Displacement of one coordinate of a control point in the first simplex, in m."""
+
+_TOLERANCE = 5e-6
+"""Size of the simplex in m at which the search ends."""
 
 
 def _published_ransac() -> RansacParameters:
@@ -52,7 +57,8 @@ class PublishedLocalizationParameters(Bounded):
     max_angle_deg
         Largest angle alpha_0 from the predicted direction (eq. 22), in degrees.
     min_length
-        Visible length from which on a needle is tracked, in m.
+        Visible length from which on a needle is tracked, in m. Around an entry, tissue alone shows
+        lines of 10 to 15 mm.
     max_gap
         Largest gap in the intensity along the needle that does not end it, in m.
     std
@@ -71,7 +77,7 @@ class PublishedLocalizationParameters(Bounded):
     margin: Positive = 10e-3
     first_margin: Positive = 20e-3
     max_angle_deg: Positive = 35.0
-    min_length: Positive = 10e-3
+    min_length: Positive = 20e-3
     max_gap: Positive = 3e-3
     std: Positive = 1e-3
     end_contrast: Positive = 6.0
@@ -198,3 +204,83 @@ def _ends(
     bright = profile.seen & (profile.level > surroundings + parameters.end_contrast)
     ends = intensity_drops(profile.a[bright], float(np.median(inliers)), parameters.max_gap)
     return np.array(ends)
+
+
+def intensity_drops(
+    bright: NDArray[np.float64], middle: float, max_gap: float
+) -> tuple[float, float]:
+    """Return the ends of the bright stretch around ``middle``; no gap up to ``max_gap`` ends it.
+
+    ``bright`` holds the ascending abscissae of the bright samples of a profile. All lengths are in
+    m.
+    """
+    start, tip = (_end(bright, middle, side, max_gap) for side in (-1, 1))
+    return start, tip
+
+
+def _end(bright: NDArray[np.float64], middle: float, side: int, max_gap: float) -> float:
+    """Return the last abscissa to a side of the middle that no gap separates from it."""
+    away = np.sort(side * (bright - middle))
+    away = np.concatenate([[0.0], away[away > 0]])
+    last = np.flatnonzero(np.append(np.diff(away), np.inf) > max_gap)[0]
+    return middle + side * float(away[last])
+
+
+def principal_axis(control_points: NDArray[np.float64]) -> Axis | NotFound:
+    """Return the curve through (n, 3) control points over the line fitted to them (Chatelain 2013).
+
+    Fig. 1 and eq. 18: k_0 is the direction of that line; abscissae count from the first point.
+    """
+    centred = control_points - control_points.mean(axis=0)
+    k = np.linalg.svd(centred)[2][0]
+    along = control_points[-1] - control_points[0]
+    return axis_through(control_points, k if k @ along >= 0 else -k)
+
+
+def relative_sagitta(control_points: NDArray[np.float64]) -> float:
+    """Return the distance of the middle one of (3, 3) control points from the chord, over it."""
+    first, middle, last = control_points
+    chord = last - first
+    length = float(np.linalg.norm(chord))
+    if not length > 0:
+        return np.inf
+    aside = middle - first
+    aside = aside - (aside @ chord) * chord / length**2
+    return float(np.linalg.norm(aside)) / length
+
+
+def optimize_locally(
+    points: NDArray[np.float64], axis: Axis, *, max_bend: float, max_trials: int = 600
+) -> Axis:
+    """Optimize a bent axis of order 3 on its (m, 3) inliers, in m, without derivatives.
+
+    The method of Nelder and Mead minimizes the mean distance from the inliers (Chatelain 2013,
+    section II-D) over axes whose ratio of sagitta to chord is at most ``max_bend``. The given axis
+    is returned if no better one was found.
+    """
+    a = axis.abscissa(points)
+    start = axis.position(np.linspace(a.min(), a.max(), 3))
+
+    def cost(variables: NDArray[np.float64]) -> float:
+        control_points = variables.reshape(3, 3)
+        if relative_sagitta(control_points) > max_bend:
+            return np.inf
+        curve = principal_axis(control_points)
+        return np.inf if isinstance(curve, NotFound) else float(curve.distance(points).mean())
+
+    simplex = start.ravel() + np.vstack([np.zeros(9), _FIRST_STEP * np.eye(9)])
+    best = minimize(
+        cost,
+        start.ravel(),
+        method="Nelder-Mead",
+        options={
+            "initial_simplex": simplex,
+            "maxfev": max_trials,
+            "xatol": _TOLERANCE,
+            "fatol": _TOLERANCE,
+        },
+    )
+    optimized = principal_axis(best.x.reshape(3, 3))
+    if isinstance(optimized, NotFound) or not best.fun <= axis.distance(points).mean():
+        return axis
+    return optimized

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.diagrams.papers.chatelain2013.method.intensity_drop import intensity_drops
+from sonoservo.diagrams.papers.chatelain2013.method.localization import intensity_drops
 from sonoservo.systems.sampling.kernels import chosen_ties
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.localization_explanation import LocalizationExplanation

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from synthetic_logs import build_insertion_log
 
-from sonoservo.diagrams.papers.zhao2012.loop_report import CLOSED_LOOP, NO_VELOCIMETER, loop_rows
+from sonoservo.diagrams.papers.zhao2012.speed_report import CLOSED_LOOP, NO_VELOCIMETER, loop_rows
 from sonoservo.diagrams.studies.following.analysis import describe_run, load_case
 from sonoservo.diagrams.studies.following.cases import AS_PUBLISHED
 from sonoservo.diagrams.studies.study import Case, Outcome
@@ -52,7 +52,9 @@ def test_speeds_are_judged_by_true_speed_and_method(rows):
     assert bias.low == pytest.approx(0.2, abs=1e-6)
     assert bias.published_true == pytest.approx(-2.0, abs=1e-6)
     assert rows[SPEED, f"speed along the needle, RMSE {when}"].published_true == pytest.approx(2.0)
-    baseline = rows[SPEED, f"speed along the needle, bias {when}, our filter without velocimeter"]
+    baseline = rows[
+        SPEED, f"speed along the needle, bias {when}, the same filter without velocimeter"
+    ]
     assert baseline.true == pytest.approx(0.0, abs=1e-6)
     assert baseline.published_true is None
     size = rows[SPEED, f"speed along the needle, size of the bias {when}"]

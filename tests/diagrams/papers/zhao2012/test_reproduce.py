@@ -7,18 +7,23 @@ import numpy as np
 import pytest
 
 from sonoservo.diagrams.papers.zhao2012 import reproduction as zhao2012
-from sonoservo.diagrams.papers.zhao2012.loop_report import NO_VELOCIMETER
 from sonoservo.diagrams.papers.zhao2012.phantom import DIRECTION, IMAGING, Phantom, StraightNeedle
+from sonoservo.diagrams.papers.zhao2012.published_tracking import with_input
+from sonoservo.diagrams.papers.zhao2012.report import report
 from sonoservo.diagrams.papers.zhao2012.runs import (
     ESTIMATORS,
     QUANTITIES,
     SPEEDOMETERS,
     run_case,
 )
+from sonoservo.diagrams.papers.zhao2012.speed_report import INTERACTING, NO_VELOCIMETER
 from sonoservo.diagrams.studies.following.analysis import load_case
 from sonoservo.diagrams.studies.following.cases import AS_PUBLISHED
 from sonoservo.diagrams.studies.study import Case, Outcome, StudyOptions
 from sonoservo.diagrams.studies.study_report import Study, write_study
+from sonoservo.systems.signals.needle_curve import NeedleCurve
+from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
+from sonoservo.systems.tracking.axis_tip_filter import AxisTipFilter
 from sonoservo.systems.ultrasound.transducer import load_transducer
 
 
@@ -102,6 +107,28 @@ def test_kept_voxels_decide_what_ransac_finds():
     assert len(tips) == 2
     assert all(tip is None or tip < 30 for tip in tips)
     assert any(tip is not None and tip < 2 for tip in tips)
+
+
+def test_noise_that_the_paper_leaves_open_is_swept():
+    push = {"phantom": 100, "speed_mm_s": 1.0, "interval_s": 0.3, "volumes": 4}
+    noises = {name: zhao2012.NOISES[name] for name in list(zhao2012.NOISES)[::4]}
+    case = Case("open values", 100, {**push, "noises": noises})
+    made = Outcome(case, run_case(case))
+    assert {len(each) for each in made.result["tip_mm"].values()} == {4}
+    rows = report([made]).rows
+    assert len(rows) == len({row.published_true for row in rows}) == len(noises)
+
+
+def test_a_commanded_change_of_speed_moves_the_prediction():
+    curve = NeedleCurve([[0, 0, 0], [0.01, 0, 0]])
+    needle_filter = AxisTipFilter()
+    state = needle_filter.start(NeedleMeasurement(curve, 1e-6 * np.eye(6), 0.0, 0, 0.0))
+    without = needle_filter.predict(state, 1.0)
+    moved = with_input(without, 2e-3, 1.0)
+    np.testing.assert_allclose(moved.tip, without.tip + np.array([2e-3, 0, 0]))
+    np.testing.assert_allclose(moved.tip_velocity, [2e-3, 0, 0])
+    np.testing.assert_allclose(moved.curve.entry, without.curve.entry, atol=1e-12)
+    assert moved.length == pytest.approx(without.length + 2e-3)
 
 
 def outcomes(scales):
@@ -188,9 +215,9 @@ def test_as_many_runs_as_published(tmp_path):
     assert {kind for name, kind in kinds.items() if name.endswith(AS_PUBLISHED)} == {
         "zhao2012_as_published"
     }
-    assert {kind for name, kind in kinds.items() if name.endswith(NO_VELOCIMETER)} == {
-        "chatelain2013"
-    }
+    for ending, kind in ((NO_VELOCIMETER, "axis_tip"), (INTERACTING, "interacting")):
+        without = [loop.tracker for name, loop in loops.items() if name.endswith(ending)]
+        assert {(each.kind, each.filter.kind) for each in without} == {("chatelain2013", kind)}
     pushed = {push.speed for loop in loops.values() for push in loop.hand.pushes}
     assert {0.0, 0.002, 0.005, 0.008, 0.01, 0.015} <= pushed
     assert all(sum(p.speed * p.duration for p in x.hand.pushes) < 0.1 for x in loops.values())

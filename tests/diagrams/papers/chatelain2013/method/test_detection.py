@@ -2,18 +2,26 @@ import dataclasses
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 from pydrake.math import RigidTransform
+from scipy.optimize import minimize
 from synthetic_volumes import GEOMETRY, Scene, entry_on_side
 
 from sonoservo.diagrams.papers.chatelain2013.method.detection import (
     PublishedDetectionParameters,
+    closest_face,
     detect_as_published,
+    geometric_median,
+    top_differences,
 )
-from sonoservo.diagrams.papers.chatelain2013.method.field_of_view import closest_face
 
 ENTRY = entry_on_side()
 INWARD = np.array([1, 0.2, 0.1]) / np.linalg.norm([1, 0.2, 0.1])
 SCENE = Scene(seed=1, spacing=1.0e-3, balls=[([0.01, 0.06, 0.005], 2e-3)])
+SHAPE = (17, 13, 11)
+COORDINATES = st.integers(-40, 40).map(lambda n: 1e-3 * n)
 PARAMETERS = PublishedDetectionParameters(candidate_volume=5e-9)
 
 
@@ -95,3 +103,74 @@ def test_side_of_a_volume_of_unknown_origin(before):
     p = volume.position(np.array(volume.intensities.shape) / 2)
     p[2] = volume.upper[2] - 1e-3
     np.testing.assert_allclose(closest_face(volume, p), [p[0], p[1], volume.upper[2]])
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.float32])
+def test_differences_are_the_order_statistic(dtype):
+    rng = np.random.default_rng(0)
+    a, b = (rng.integers(1, 255, SHAPE).astype(dtype) for _ in range(2))
+    index, threshold = top_differences(a, b, 50)
+    difference = np.abs(a.astype(float) - b)
+    assert len(np.unique(index, axis=0)) == 50
+    assert threshold == np.sort(difference.ravel())[-50]
+    assert difference[tuple(index.T)].min() == threshold
+
+
+def test_ties_are_chosen_from_the_whole_volume():
+    a, b = np.full(SHAPE, 9, np.uint8), np.full(SHAPE, 4, np.uint8)
+    index, threshold = top_differences(a, b, 200)
+    assert (len(index), threshold) == (200, 5)
+    np.testing.assert_allclose(index.mean(axis=0), (np.array(SHAPE) - 1) / 2, atol=1.2)
+
+
+def test_fewer_differences_than_wanted():
+    a = np.full(SHAPE, 7, np.uint8)
+    b = a.copy()
+    index, threshold = top_differences(a, b, 10)
+    assert (len(index), threshold) == (0, 0)
+    b[3, 4, 5] = 9
+    index, threshold = top_differences(a, b, 10)
+    np.testing.assert_array_equal(index, [[3, 4, 5]])
+    assert threshold == 2
+
+
+def test_outside_a_moving_sector_is_no_change():
+    a, b = np.full(SHAPE, 30, np.uint8), np.full(SHAPE, 30, np.uint8)
+    b[0] = 0
+    b[5, 5, 5] = 40
+    index, _ = top_differences(a, b, 5, seen=(a > 0, b > 0))
+    np.testing.assert_array_equal(index, [[5, 5, 5]])
+
+
+def cost(y, points):
+    return np.linalg.norm(points - y, axis=1).sum()
+
+
+@given(arrays(float, st.tuples(st.integers(1, 12), st.just(3)), elements=COORDINATES))
+def test_no_other_point_is_closer_than_the_median(points):
+    median = geometric_median(points)
+    best = min(
+        minimize(cost, start, args=(points,), method="Nelder-Mead").fun
+        for start in (points.mean(axis=0), median)
+    )
+    best = min(best, *(cost(p, points) for p in points))
+    assert cost(median, points) <= best + 1e-5
+
+
+def test_median_resists_outliers_where_the_mean_does_not():
+    rng = np.random.default_rng(2)
+    points = np.vstack([rng.normal(size=(70, 3)), rng.normal(size=(30, 3)) + 100])
+    assert np.linalg.norm(geometric_median(points)) < 2 < np.linalg.norm(points.mean(axis=0))
+
+
+def test_median_from_a_start_at_a_point_that_is_not_the_median():
+    points = np.array([[0, 0.0], [-3, 0], [-3, 0], [-3, 0], [-3, 0], [12, 0]])
+    np.testing.assert_array_equal(points.mean(axis=0), points[0])
+    np.testing.assert_allclose(geometric_median(points), [-3, 0], atol=1e-3)
+
+
+def test_median_of_one_point_of_coincident_ones_and_of_none():
+    np.testing.assert_array_equal(geometric_median([[1.0, 2, 3]]), [1, 2, 3])
+    np.testing.assert_allclose(geometric_median(np.ones((5, 3))), 1)
+    with pytest.raises(ValueError, match="points"):
+        geometric_median(np.zeros((0, 3)))

@@ -12,6 +12,7 @@ from sonoservo.systems.signals.needle_estimate import TrackingMode
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
 from sonoservo.systems.tracking.axis_tip_filter import AxisTipFilter
 from sonoservo.systems.tracking.control_point_filter import ControlPointFilter
+from sonoservo.systems.tracking.track import Track
 
 LIFE = PublishedLifecycle(order=2, needle_filter=ControlPointFilter(), min_length=10e-3)
 NOTHING = NotFound("nothing")
@@ -32,12 +33,12 @@ def step(track, time, detection=NOTHING, measurement=NOTHING):
 
 
 def tracked():
-    track = step(LIFE.without_needle(0.0), 0.0, detection(0.0))
+    track = step(Track.without_needle(0.0), 0.0, detection(0.0))
     return step(track, 0.3, measurement=measurement(0.03, 0.3))
 
 
 def test_one_entry_starts_the_search_and_a_later_one_replaces_it():
-    waiting = LIFE.without_needle(0.0)
+    waiting = Track.without_needle(0.0)
     assert not LIFE.predict(waiting, 0.0, RigidTransform())
     track = step(waiting, 0.0, detection(0.0))
     assert track.mode == TrackingMode.SEARCHING

@@ -4,14 +4,12 @@ import numpy as np
 import pytest
 from synthetic_volumes import Scene, entry_on_side
 
-from sonoservo.diagrams.papers.chatelain2013.method.local_optimization import (
-    optimize_locally,
-    principal_axis,
-    relative_sagitta,
-)
 from sonoservo.diagrams.papers.chatelain2013.method.localization import (
     PublishedLocalizationParameters,
     explain_published_localization,
+    optimize_locally,
+    principal_axis,
+    relative_sagitta,
 )
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle_curve import NeedleCurve
