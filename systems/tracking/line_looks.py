@@ -42,22 +42,22 @@ field of view to the ends."""
 
 
 _WEIGHTS = {
-    "constant": 0.56,
-    "evidence": 2.13,
-    "clutter": -3.29,
-    "short": -2.69,
-    "streak": -13.14,
-    "fall": 3.48,
-    "entry gap": -0.48,
-    "tip at edge": -2.89,
-    "width": 3.07,
-    "aside": -0.98,
-    "around": -25.26,
-    "above": 3.67,
-    "outside": 10.79,
-    "behind": -0.49,
-    "border": -2.18,
-    "rim": -8.18,
+    "constant": 0.66,
+    "evidence": 2.02,
+    "clutter": -3.00,
+    "short": -0.37,
+    "streak": -16.34,
+    "fall": 3.35,
+    "entry gap": -0.49,
+    "tip at edge": -2.57,
+    "width": 2.61,
+    "aside": 0.37,
+    "around": -23.72,
+    "above": 2.90,
+    "outside": 10.65,
+    "behind": -0.56,
+    "border": -1.75,
+    "rim": -9.14,
 }
 """Weights of a line's looks in the logarithm of the odds that it is the needle of a volume, rather
 than that there is none, if every second volume has one. They are those of a conditional logit (a
