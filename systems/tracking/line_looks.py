@@ -76,7 +76,8 @@ def line_looks(
 ) -> dict[str, Floats]:
     """Return what tells needles from other bright lines, each (n,).
 
-    A needle is as narrow as the beam, and nothing around it is as bright. A sheet is wide. The
+    A needle is as narrow as the beam, and on at most one side something as bright, as it may
+    reverberate: a sheet has two. The
     surface of a bone or the border between two tissues has unlike sides above and below. A sheet,
     or the wall of a vessel, brightens what lies below; a needle shades it. A needle comes from the
     side of the field of view, goes down rather than up, and ends within. Fibres and calcifications
@@ -105,7 +106,7 @@ def line_looks(
         near, far = np.nanmean(section[:, _NEAR], axis=1), np.nanmean(section[:, _FAR], axis=1)
         above = np.nanmean(section[:, _AROUND, _ABOVE], axis=1)
         below = np.nanmean(section[:, 3:6, _BELOW], axis=1)
-        far_below = np.nanmean(section[:, 5:, _BELOW], axis=1)
+        far_below = np.nanmedian(section[:, 5:, _BELOW], axis=1)
     blur = _blur(volume, ends, k)
     beside = _amplitudes(near) - _spread(blur, _NEAR)
     farther = _amplitudes(far) - _spread(blur, _FAR)
@@ -121,7 +122,7 @@ def line_looks(
         "tip at edge": np.exp(-tip_gap / _EDGE),
         "width": np.ones(len(ends)) * np.clip(_relative_width(blur, section[:, _WIDTH]), *_WIDTHS),
         "aside": np.maximum(beside[:, _ASIDE], beside[:, _OTHER_SIDE]),
-        "around": beside.max(axis=1),
+        "around": np.sort(beside, axis=1)[:, -2],
         "above": farther[:, _ABOVE],
         "outside": np.median(farther, axis=1),
         "behind": _limited(above - far_below, 0, 8) / 2,

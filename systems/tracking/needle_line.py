@@ -41,7 +41,8 @@ class NeedleLine(Immutable):
     ends
         (2, 3) ends in P, in m: the one on the entry's side, and the tip.
     probability
-        Probability that the line, or another along it, is the needle, judged by this volume alone.
+        Probability that the needle lies along the line, if it is this one or none, judged by this
+        volume alone.
     """
 
     ends: Floats
@@ -173,11 +174,7 @@ def log_odds(
 
 
 def needle_lines(volume: Volume) -> list[NeedleLine]:
-    """Return the lines of a volume that may be needles by their looks, most probable first.
-
-    At most one line is the needle, so the more there are that look like one, the less probable each
-    is.
-    """
+    """Return the lines of a volume that may be needles by their looks, most probable first."""
     fits = fitted_lines(volume, cells_of(volume))
     if not fits:
         return []
@@ -199,13 +196,14 @@ def _needles(ends: Floats, odds: Floats) -> list[NeedleLine]:
         (n, 2, 3) ends in P, in m, and (n,) logarithms of the odds that each line is the needle
         rather than that there is none.
     """
-    probabilities = np.exp(odds - logsumexp(np.append(odds, 0.0)))
+    total = logsumexp(np.append(odds, 0.0))
+    probabilities, none = np.exp(odds - total), np.exp(-total)
     along = lie_along(ends, ends)
     lines, left = [], np.ones(len(ends), bool)
     while left.any():
         shared = (along & left) @ probabilities
         first = int(np.where(left, probabilities * shared, -1.0).argmax())
-        together = min(float(shared[first]), 1.0)
+        together = float(shared[first] / (shared[first] + none))
         lines.append(NeedleLine(ends[first], together))
         left &= ~(along[first] | along[:, first])
         left[first] = False

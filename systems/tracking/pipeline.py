@@ -25,6 +25,7 @@ from sonoservo.systems.tracking.search_region import (
     narrow_region,
     predicted_region,
 )
+from sonoservo.systems.tracking.volume_plausibility import is_noise
 
 _REPEATS = 7
 """Number of searches around a line without a prediction; the result nearest the median counts."""
@@ -103,6 +104,8 @@ def _localize_everywhere(
     rng: np.random.Generator,
 ) -> tuple[Attempts, NeedleMeasurement | NotFound, float]:
     """Localize the line that looks most like a needle; return the probability that it is one."""
+    if is_noise(volume):
+        return [], NotFound(SearchReason.NO_LINE(" stands out of what is noise")), 0.0
     lines = needle_lines(volume)
     if not lines:
         return [], NotFound(SearchReason.NO_BRIGHT_LINE(" is seen")), 0.0

@@ -45,18 +45,18 @@ correlation of the echoes: Li2(rho^2) / Li2(1)."""
 
 @njit(cache=True, nogil=True)
 def _correlations(  # pragma: no cover - compiled
-    levels: Any, shown: Any, starts: Any, size: Any, lags: Any, share: float, least: float,
-    most: float,
+    levels: Any, shown: Any, floor: float, starts: Any, size: Any, lags: Any, share: float,
+    least: float, most: float,
 ) -> Any:  # fmt: skip
     """Return the (b, 3, lags) correlations of a block's levels with themselves, NaN if unusable.
 
-    The (3, lags) distances are in voxels.
+    The (3, lags) distances are in voxels, and ``floor`` is the lowest level.
     """
     result = np.full((len(starts), *lags.shape), np.nan)
     step = np.eye(3, dtype=np.int64)
     for b in range(len(starts)):
         x, y, z = starts[b]
-        total, squares, seen = 0.0, 0.0, 0
+        total, squares, seen, bright = 0.0, 0.0, 0, 0
         for i in range(x, x + size[0]):
             for j in range(y, y + size[1]):
                 for k in range(z, z + size[2]):
@@ -65,7 +65,9 @@ def _correlations(  # pragma: no cover - compiled
                         total += level
                         squares += level * level
                         seen += 1
-        if seen < share * size[0] * size[1] * size[2]:
+                        bright += level > floor
+        # Where most is below the display's range, what is left is no speckle.
+        if seen < share * size[0] * size[1] * size[2] or 2 * bright < seen:
             continue
         mean = total / seen
         variance = squares / seen - mean * mean
@@ -110,10 +112,13 @@ def speckle_spread(volume: Volume) -> PointSpread | None:
     size = np.minimum(np.maximum(np.round(_BLOCK / volume.spacing).astype(int), 4), shape)
     lags = np.linspace(1, np.maximum(size // 2, 1), _LAGS, axis=1).round().astype(int)
     limits = np.divide(_DEVIATIONS, volume.decibels_per_level)
+    floor = float(volume.intensities[volume.seen].min(initial=255))
     depths, widths = [], []
     for row in np.unique(np.linspace(0, shape[1] - size[1], _MOST_DEPTHS).astype(int)):
         starts = _seen_blocks(volume.seen, int(row), size)
-        here = _correlations(volume.intensities, volume.seen, starts, size, lags, _SEEN, *limits)
+        here = _correlations(
+            volume.intensities, volume.seen, floor, starts, size, lags, _SEEN, *limits
+        )
         here = here[np.isfinite(here).all(axis=(1, 2))]
         if len(here) < _LEAST_BLOCKS:
             continue

@@ -20,6 +20,9 @@ _STRIDE = 5
 _WHITE = 250
 """Grey level from which a voxel counts as saturated."""
 
+_UNRELATED = 0.1
+"""Largest correlation of neighbouring voxels in noise: a beam is wider than a voxel."""
+
 _SAME_SPACING = 1e-3
 """Relative difference of spacings that comes from rounding."""
 
@@ -54,6 +57,18 @@ class VolumePlausibilityParameters:
         for name in ("max_white", "mirror_correlation"):
             value = getattr(self, name)
             require(0 < value <= 1, name, value, "above 0 and at most 1")
+
+
+def is_noise(volume: Volume) -> bool:
+    """Whether neighbouring voxels have nothing to do with each other, as in no image by sound."""
+    levels = np.where(volume.seen, volume.intensities, np.nan).astype(np.float64)
+    levels -= np.nanmean(levels) if volume.seen.any() else 0.0
+    variance = np.nanmean(levels**2) if volume.seen.any() else 0.0
+    together = [
+        np.nanmean(np.take(levels, range(1, n), axis) * np.take(levels, range(n - 1), axis))
+        for axis, n in enumerate(levels.shape)
+    ]
+    return bool(variance > 0 and np.nanmax(together) < _UNRELATED * variance)
 
 
 def implausible(

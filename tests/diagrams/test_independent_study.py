@@ -47,15 +47,16 @@ def test_quantiles_are_those_of_the_magnitudes_in_mm():
     assert quantiles([]) == "-, -"
 
 
-@pytest.mark.parametrize("seed", [100, 102, 103, 105, 108])
-def test_a_clear_needle_is_located(seed):
-    rng = np.random.default_rng([seed, 3])
-    volume, truth = volume_case(rng, True, (), shape=SHAPE, level=20, dip=rng.uniform(0, 40))
-    found = locate_in(volume)
-    assert found, found.reason
-    outcome = compare(truth, found.curve)
-    assert outcome.right
-    assert outcome.tip < 2e-3
+def test_clear_needles_are_located():
+    outcomes = []
+    for seed in range(100, 109):
+        rng = np.random.default_rng([seed, 3])
+        volume, truth = volume_case(rng, True, (), shape=SHAPE, level=20, dip=rng.uniform(0, 40))
+        found = locate_in(volume)
+        if found:
+            outcomes.append(compare(truth, found.curve))
+    assert len(outcomes) >= 8
+    assert all(each.right and each.tip < 2e-3 for each in outcomes)
 
 
 @pytest.mark.parametrize("seed", [100, 101])

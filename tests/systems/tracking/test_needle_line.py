@@ -62,11 +62,10 @@ def test_lines_along_one_needle_share_its_probability():
     steep = NEEDLE[0] + np.outer([0.0, 0.007], K + np.cross(K, [0.0, 0.25, 0.0]))
     ends, log_odds = np.array([part, NEEDLE, beside, sheet, steep]), [1.0, 1.0, 0.0, -9.0, -1.0]
     found = module._needles(ends, np.array(log_odds))
-    total = 1 + np.exp(log_odds).sum()
     assert len(found) == 3
     np.testing.assert_array_equal(found[0].ends, NEEDLE)
-    assert found[0].probability == pytest.approx(2 * np.e / total)
-    assert found[1].probability == pytest.approx((1 + np.exp(-9.0)) / total, rel=1e-3)
+    assert found[0].probability == pytest.approx(2 * np.e / (1 + 2 * np.e))
+    assert found[1].probability == pytest.approx(0.5, abs=1e-3)
     np.testing.assert_array_equal(found[2].ends, steep)
 
 
