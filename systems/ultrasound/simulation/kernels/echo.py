@@ -38,7 +38,7 @@ from sonoservo.systems.ultrasound.simulation.kernels.projection import (
     transformed,
 )
 from sonoservo.systems.ultrasound.simulation.kernels.regions import Regions, weigh_scatterers
-from sonoservo.systems.ultrasound.simulation.kernels.vector_addition import deposit
+from sonoservo.systems.ultrasound.simulation.kernels.vector_addition import LANES, deposit
 from sonoservo.systems.ultrasound.simulation.scatterer_tile import BLOCKS, ScattererTile
 
 FADE = 0.1
@@ -135,7 +135,7 @@ def deposit_tissue(accumulator, sights, frame, rays, tissue, lumens):  # type: i
     first, last = frame_blocks(X_FT, box, block_size, depth, widest, closest, margin, rays)
     largest = 0
     for block in range(starts.size - 1):
-        largest = max(largest, starts[block + 1] - starts[block])
+        largest = max(largest, starts[block + 1] - starts[block] + LANES)
     line = np.empty(largest, np.float32)
     sample = np.empty(largest, np.float32)
     cosine = np.empty(largest, np.float32)
@@ -225,6 +225,8 @@ def deposit_tissue(accumulator, sights, frame, rays, tissue, lumens):  # type: i
                 start = starts[block]
                 most = max(rays.share[at + span], rays.share[at - span], share) * (1 + FADE)
                 n = count_below(ranks, start, starts[block + 1], np.float32(most))
+                # Whole vectors only: the compiler takes up what is left over one by one.
+                whole = (n + LANES - 1) // LANES * LANES
                 ox = np.float32(x - (A[0, 0] + A[0, 1] + A[0, 2]) * block_size / 2)
                 oy = np.float32(y - (A[1, 0] + A[1, 1] + A[1, 2]) * block_size / 2)
                 oz = np.float32(z - (A[2, 0] + A[2, 1] + A[2, 2]) * block_size / 2)
@@ -242,19 +244,19 @@ def deposit_tissue(accumulator, sights, frame, rays, tissue, lumens):  # type: i
                         by - regions.first_block[1],
                         bz - regions.first_block[2],
                     ]
-                xs = positions[0, start : start + n]
-                ys = positions[1, start : start + n]
-                zs = positions[2, start : start + n]
-                rank = ranks[start : start + n]
+                xs = positions[0, start : start + whole]
+                ys = positions[1, start : start + whole]
+                zs = positions[2, start : start + whole]
+                rank = ranks[start : start + whole]
                 txs, tys, tzs = xs, ys, zs
                 if near:
                     push_scatterers(moved, xs, ys, zs, *corner, segment, field)
-                    txs, tys, tzs = moved[0, :n], moved[1, :n], moved[2, :n]
+                    txs, tys, tzs = moved[0], moved[1], moved[2]
                 xx, xy, xz = R[0, 0], R[0, 1], R[0, 2]
                 yx, yy, yz = R[1, 0], R[1, 1], R[1, 2]
                 zx, zy, zz = R[2, 0], R[2, 1], R[2, 2]
                 # There is no branch in this loop, so the compiler can vectorise it.
-                for i in range(n):
+                for i in range(whole):
                     tx = txs[i]
                     ty = tys[i]
                     tz = tzs[i]
