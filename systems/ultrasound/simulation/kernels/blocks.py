@@ -3,7 +3,7 @@
 import numpy as np
 from numba import njit
 
-from sonoservo.systems.sampling.kernels import OPTIONS
+from sonoservo.systems.sampling.kernels import INNER, OPTIONS
 
 
 @njit(**OPTIONS)
@@ -32,7 +32,7 @@ def frame_blocks(X_FT, box, block_size, depth, half_angle, thickness, margin, ra
     return first, last
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def count_below(ranks, start, end, limit):  # type: ignore[no-untyped-def]
     """Return the number of sorted ranks from start to end that are below a limit."""
     first = start
@@ -45,7 +45,7 @@ def count_below(ranks, start, end, limit):  # type: ignore[no-untyped-def]
     return first - start
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def keep_between(chosen, count, xs, ys, zs, low, high):  # type: ignore[no-untyped-def]
     """Remove the chosen scatterers that lie outside a box; return the number left."""
     left = 0
@@ -63,7 +63,7 @@ def keep_between(chosen, count, xs, ys, zs, low, high):  # type: ignore[no-untyp
     return left
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def misses(x, y, z, slack, aside, reach, share, twist_per_radian, rays):  # type: ignore[no-untyped-def]
     """Return True if no point near a point in F can be in the frame's beam.
 

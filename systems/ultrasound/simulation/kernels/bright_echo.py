@@ -3,7 +3,7 @@
 import numpy as np
 from numba import njit
 
-from sonoservo.systems.sampling.kernels import OPTIONS
+from sonoservo.systems.sampling.kernels import INNER, OPTIONS
 from sonoservo.systems.ultrasound.simulation.kernels.displacement import (
     displace,
     frame_field,
@@ -37,7 +37,7 @@ _FURTHEST_OUT = 2.0 * _ELEVATION_WIDENING
 _MAIN_REACH = 4.5
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def add_point(layer, rays, pulse, place, closer, amplitude, shadow):  # type: ignore[no-untyped-def]
     """Add the echo of one bright point in F to a `Layer`; return True if the frame sees it.
 

@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from sonoservo.systems.sampling.kernels import OPTIONS
+from sonoservo.systems.sampling.kernels import INNER, OPTIONS
 from sonoservo.systems.ultrasound.simulation.kernels.displacement import Displacements
 
 _STEPS = 3
@@ -71,13 +71,13 @@ class Sights(NamedTuple):
     """Apparent positions of points, or `NO_VIEW`."""
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def largest_aside(view, frame):  # type: ignore[no-untyped-def]
     """Return the entry of ``view.asides`` for a frame, and 0 if nothing is bent."""
     return view.asides[frame] if len(view.table) > 0 else 0.0
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def interpolated(table, line, node):  # type: ignore[no-untyped-def]
     """Interpolate a (lines, nodes) table, held constant beyond its edges."""
     line = min(max(line, 0.0), table.shape[0] - 1.0)
@@ -90,7 +90,7 @@ def interpolated(table, line, node):  # type: ignore[no-untyped-def]
     return (1 - a) * near + a * ((1 - b) * table[j + 1, k] + b * table[j + 1, k + 1])
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def true_position(x, y, z, medium, frame):  # type: ignore[no-untyped-def]
     """Return the true position in F, in m, of an object that appears at a point in F."""
     delays = medium.delays[frame]
@@ -127,7 +127,7 @@ def true_position(x, y, z, medium, frame):  # type: ignore[no-untyped-def]
     )
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def apparent_position(x, y, z, medium, frame):  # type: ignore[no-untyped-def]
     """Return the apparent position in F, in m, of a point in F: the inverse of `true_position`."""
     ax = x
@@ -204,7 +204,7 @@ def tabulate_views(table, medium, view):  # type: ignore[no-untyped-def]
                 node[14] = -z0 / length
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def look_up(x, y, z, view, frame, node):  # type: ignore[no-untyped-def]
     """Return a point's apparent position in F, in m; write the (15,) interpolated node."""
     table = view.table
@@ -285,7 +285,7 @@ def integrate_paths(  # type: ignore[no-untyped-def]
                     late += delay_rate[label] * step
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def _row(row, x, y, z):  # type: ignore[no-untyped-def]
     """Return one coordinate of a transformed point."""
     return row[0] * x + row[1] * y + row[2] * z + row[3]

@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from sonoservo.systems.sampling.kernels import OPTIONS
+from sonoservo.systems.sampling.kernels import INNER, OPTIONS
 from sonoservo.systems.ultrasound.simulation.kernels.blocks import misses
 from sonoservo.systems.ultrasound.simulation.kernels.displacement import (
     displace,
@@ -97,7 +97,7 @@ def place_pieces(seen, places, sights, frame, rays, pieces, growth, reach):  # t
     return count
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def _is_turned_away(i, X_FT, pieces, rays):  # type: ignore[no-untyped-def]
     """Return True if a piece that reflects on one side only certainly faces away from the probe."""
     if not pieces.one_sided[pieces.surfaces[i]]:
@@ -113,7 +113,7 @@ def _is_turned_away(i, X_FT, pieces, rays):  # type: ignore[no-untyped-def]
     return ahead > _AWAY
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def _in_frame(  # type: ignore[no-untyped-def]
     i, X_FT, pieces, growth, view, field, frame, node, F, rays
 ):
@@ -148,7 +148,7 @@ def _in_frame(  # type: ignore[no-untyped-def]
     return px, py, pz, fx * ux + fy * uy + fz * uz
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def _turned(nx, ny, nz, F):  # type: ignore[no-untyped-def]
     """Return a surface's unit normal after a deformation with the gradient F (Nanson's formula)."""
     x = (F[1, 1] * F[2, 2] - F[1, 2] * F[2, 1]) * nx

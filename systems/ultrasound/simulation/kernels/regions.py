@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from sonoservo.systems.sampling.kernels import OPTIONS
+from sonoservo.systems.sampling.kernels import INNER
 
 _GOLDEN = 0.6180339887498949
 
@@ -66,7 +66,7 @@ NO_REGIONS = Regions(
 """Regions of plain tissue."""
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def weigh_scatterers(  # type: ignore[no-untyped-def]
     chosen, count, xs, ys, zs, x0, y0, z0, block_list, cosine, sine, regions, lumens
 ):
@@ -119,7 +119,7 @@ def weigh_scatterers(  # type: ignore[no-untyped-def]
     return left
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def _within(x, y, z, ends, radius):  # type: ignore[no-untyped-def]
     """Return True if a point lies within a radius of a straight segment, (2, 3)."""
     ax = ends[1, 0] - ends[0, 0]

@@ -3,7 +3,7 @@
 import numpy as np
 from numba import njit
 
-from sonoservo.systems.sampling.kernels import OPTIONS
+from sonoservo.systems.sampling.kernels import INNER, OPTIONS
 from sonoservo.systems.ultrasound.simulation.kernels.layers import (
     cast_shadows,
     empty_layer,
@@ -33,7 +33,7 @@ _NYQUIST_POWER = 8
 _OWN_SHADOW = 2.5e-3
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def _add_piece(layer, rays, pieces, i, place, times, level, kind):  # type: ignore[no-untyped-def]
     """Add piece i's echo, or its echo after ``times`` round trips between face and surface.
 
