@@ -141,12 +141,14 @@ def apparent_position(x, y, z, medium, frame):  # type: ignore[no-untyped-def]
     return ax, ay, az
 
 
-@njit(**OPTIONS)
-def linear_view(x, y, z, medium, frame, slope):  # type: ignore[no-untyped-def]
-    """Return a point's apparent position in F; write its derivative by the true one."""
+@njit(**INNER)
+def linear_view(x, y, z, medium, frame, slope, J):  # type: ignore[no-untyped-def]
+    """Return a point's apparent position in F; write its derivative by the true one.
+
+    J is (3, 3) memory.
+    """
     ax, ay, az = apparent_position(x, y, z, medium, frame)
     x0, y0, z0 = true_position(ax, ay, az, medium, frame)
-    J = np.empty((3, 3))
     for axis in range(3):
         dx = _PROBE if axis == 0 else 0.0
         dy = _PROBE if axis == 1 else 0.0
@@ -177,8 +179,13 @@ def linear_view(x, y, z, medium, frame, slope):  # type: ignore[no-untyped-def]
 @njit(**OPTIONS)
 def tabulate_views(table, medium, view):  # type: ignore[no-untyped-def]
     """Tabulate `linear_view` over the middle plane of every frame, as a `View` has it."""
+    _fill_views(table, medium, view, np.empty((3, 3)), np.empty((3, 3)))
+
+
+@njit(**INNER)
+def _fill_views(table, medium, view, slope, J):  # type: ignore[no-untyped-def]
+    """Fill the table; slope and J are (3, 3) memory."""
     for frame in range(len(table)):
-        slope = np.empty((3, 3))
         for j in range(table.shape[1]):
             phi = (j - view.middle) / view.angles_per_radian
             for k in range(table.shape[2]):
@@ -186,7 +193,7 @@ def tabulate_views(table, medium, view):  # type: ignore[no-untyped-def]
                 x = r * np.sin(phi)
                 y = r * np.cos(phi) - view.centre_offset
                 node = table[frame, j, k]
-                ax, ay, az = linear_view(x, y, 0.0, medium, frame, slope)
+                ax, ay, az = linear_view(x, y, 0.0, medium, frame, slope, J)
                 node[0] = ax - x
                 node[1] = ay - y
                 node[2] = az
@@ -276,9 +283,9 @@ def integrate_paths(  # type: ignore[no-untyped-def]
                 z = y * twist * from_middle
                 if bends:
                     x, y, z = true_position(x, y, z, medium, frame)
-                a = np.int64(np.floor(per_metre * (_row(X[0], x, y, z) - origin[0])))
-                b = np.int64(np.floor(per_metre * (_row(X[1], x, y, z) - origin[1])))
-                c = np.int64(np.floor(per_metre * (_row(X[2], x, y, z) - origin[2])))
+                a = np.int64(np.floor(per_metre * (_coordinate(X, 0, x, y, z) - origin[0])))
+                b = np.int64(np.floor(per_metre * (_coordinate(X, 1, x, y, z) - origin[1])))
+                c = np.int64(np.floor(per_metre * (_coordinate(X, 2, x, y, z) - origin[2])))
                 if 0 <= a < nx and 0 <= b < ny and 0 <= c < nz:
                     label = labels[a, b, c]
                     loss += loss_rate[label] * step
@@ -286,6 +293,6 @@ def integrate_paths(  # type: ignore[no-untyped-def]
 
 
 @njit(**INNER)
-def _row(row, x, y, z):  # type: ignore[no-untyped-def]
+def _coordinate(X, axis, x, y, z):  # type: ignore[no-untyped-def]
     """Return one coordinate of a transformed point."""
-    return row[0] * x + row[1] * y + row[2] * z + row[3]
+    return X[axis, 0] * x + X[axis, 1] * y + X[axis, 2] * z + X[axis, 3]
