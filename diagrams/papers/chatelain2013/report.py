@@ -42,7 +42,7 @@ NOTES = (
     "are those of the swept sector (PublishedDetectionParameters). Localization: 400 mm3 of "
     "candidates in a region of 10 mm around the prediction, 20 mm around a detected entry, alpha_0 "
     "35 deg, "
-    "tracking from 20 mm on; discarded draws do not count; the needle ends 6 dB above its "
+    "tracking from 20 mm on; discarded draws do not count; the needle ends 9 dB above its "
     "surroundings, after gaps of 3 mm at most (PublishedLocalizationParameters). Filter: R and Q "
     "are the same for all control points. A track ends below 20 mm or after 10 volumes without a "
     "measurement (PublishedLifecycle). lambda is 0.8/s (FollowingScenario.as_published).",

@@ -57,6 +57,10 @@ OPEN_VALUES: Mapping[str, Sequence[str]] = {
         for length in (10, 15, 25)
     },
     **{
+        f"ends {level} dB above its surroundings": [f"tracker.localization.end_contrast={level}"]
+        for level in (6, 12)
+    },
+    **{
         f"alpha_0 {angle} deg": [f"tracker.localization.max_angle_deg={angle}"]
         for angle in (10, 20, 50)
     },

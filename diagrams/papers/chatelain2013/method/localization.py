@@ -80,7 +80,7 @@ class PublishedLocalizationParameters(Bounded):
     min_length: Positive = 20e-3
     max_gap: Positive = 3e-3
     std: Positive = 1e-3
-    end_contrast: Positive = 6.0
+    end_contrast: Positive = 9.0
     ransac: RansacParameters = field(default_factory=_published_ransac)
     profile: TipParameters = field(default_factory=_published_profile)
 
