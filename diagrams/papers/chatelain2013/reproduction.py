@@ -48,6 +48,7 @@ OPEN_VALUES: Mapping[str, Sequence[str]] = {
         f"candidates of a difference {size} mm3": [f"tracker.detection.candidate_volume={size}e-9"]
         for size in (2, 10, 30)
     },
+    "delta 10 mm": ["tracker.detection.max_depth=10e-3"],
     **{
         f"candidates of a volume {size} mm3": [f"tracker.localization.candidate_volume={size}e-9"]
         for size in (120, 250, 800)
