@@ -38,7 +38,7 @@ NOTES = (
     "command is held between volumes, nothing checks a measurement, and a lost needle is not found "
     "again. The force law and the guard of the robot are ours.",
     "Where the paper is silent, the choice was made with figs. 4 to 6 on seeds from 100 on, or is "
-    "that of our method. Detection: 5 mm3 of candidates, tau (27 mm)^2, delta 5 mm; the faces "
+    "that of our method. Detection: 5 mm3 of candidates, tau (27 mm)^2, delta 7 mm; the faces "
     "are those of the swept sector (PublishedDetectionParameters). Localization: 400 mm3 of "
     "candidates in a region of 10 mm around the prediction, 20 mm around a detected entry, alpha_0 "
     "35 deg, "

@@ -37,7 +37,7 @@ class PublishedDetectionParameters(Bounded):
 
     candidate_volume: Positive = 5e-9
     max_std: Positive = 27e-3
-    max_depth: Positive = 5e-3
+    max_depth: Positive = 7e-3
 
 
 def detect_as_published(
