@@ -26,17 +26,7 @@ _CAPTION = (
 
 
 def write_benchmark(result: BenchmarkResult, folder: Path, command: str) -> None:
-    """Write benchmark.json, benchmark.md and report.html.
-
-    Parameters
-    ----------
-    result
-        Results, whose pictures lie in the folder ``cases`` of ``folder``.
-    folder
-        Folder of the files.
-    command
-        Command that repeats the benchmark.
-    """
+    """Write benchmark.json, benchmark.md and report.html, with the command that repeats it."""
     data = result.data
     write_json(folder / "benchmark.json", data)
     write_atomically(folder / "benchmark.md", benchmark_markdown(data))

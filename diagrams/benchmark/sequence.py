@@ -52,39 +52,17 @@ class LiftedPlan(MotionPlan):
 
 @dataclass(frozen=True, eq=False)
 class Sequence:
-    """Volumes of a sequence, and the truth.
-
-    Parameters
-    ----------
-    volumes
-        Volumes in order of time, with the poses as measured.
-    truth
-        Log of the run without estimates.
-    lifted
-        Times in s between which the probe is lifted.
-    tracker_seed
-        Seed for the random choices of a tracker.
-    needle_radius
-        Radius of the needle, in m.
-    """
+    """Volumes of a sequence in order of time, with the poses as measured, and the truth."""
 
     volumes: list[Volume]
-    truth: RunLog
-    lifted: tuple[float, float]
-    tracker_seed: int
-    needle_radius: float
+    truth: RunLog  # log of the run without estimates
+    lifted: tuple[float, float]  # between which the probe is lifted, in s
+    tracker_seed: int  # for the random choices of a tracker
+    needle_radius: float  # in m
 
 
 def acquire_sequence(settings: Mapping[str, Any], seed: int) -> Sequence:
-    """Simulate a sequence of a suite.
-
-    Parameters
-    ----------
-    settings
-        Settings of the suite; see `Suite.settings`.
-    seed
-        Seed of the sequence, from which all that is random follows.
-    """
+    """Simulate a sequence of a suite, given its `Suite.settings` and a seed."""
     with scenario_of(settings, seed) as scenario:
         return _acquire(scenario)
 

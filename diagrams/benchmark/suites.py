@@ -55,13 +55,7 @@ class Suite:
 
 
 def load_suites(names: Sequence[str] = ()) -> dict[str, Suite]:
-    """Return suites by name; all of them if none is named.
-
-    Raises
-    ------
-    ConfigurationError
-        If there is no suite of a name.
-    """
+    """Return suites by name; all of them if none is named."""
     path = Path(str(files("sonoservo.diagrams.benchmark"))) / "suites.yaml"
     known = {name: Suite(**each) for name, each in read_yaml(path).items()}
     for name in names:
@@ -71,13 +65,7 @@ def load_suites(names: Sequence[str] = ()) -> dict[str, Suite]:
 
 
 def sequence_seeds(salt: int = 0, count: int = SEQUENCES) -> range:
-    """Return the seeds of a suite's sequences: 0 and up, or 1000 times the salt and up.
-
-    Raises
-    ------
-    ValueError
-        If a number is out of range; the message names it.
-    """
+    """Return the seeds of a suite's sequences: 0 and up, or 1000 times the salt and up."""
     require(salt >= 0, "salt", salt, "0 or more")
     require(1 <= count <= SEQUENCES, "sequences", count, f"from 1 to {SEQUENCES}")
     return range(_SALTED * salt, _SALTED * salt + count)

@@ -13,19 +13,11 @@ from sonoservo.systems.control.scheduled_settings import ScheduledSettings
 
 @dataclass(frozen=True)
 class ActionScale:
-    """Scale between an action, four numbers from -1 to 1, and what it commands.
+    """Scale between an action, four numbers from -1 to 1, and what it commands."""
 
-    Parameters
-    ----------
-    speed, angular_speed
-        Largest components of the velocity, in m/s and rad/s.
-    force
-        Smallest and largest target of the contact force, in N.
-    """
-
-    speed: float = 0.03
-    angular_speed: float = float(np.deg2rad(20))
-    force: tuple[float, float] = (1.0, 4.0)
+    speed: float = 0.03  # largest v_x and v_z, in m/s
+    angular_speed: float = float(np.deg2rad(20))  # largest omega_y, in rad/s
+    force: tuple[float, float] = (1.0, 4.0)  # smallest and largest target, in N
 
     def command(self, action: NDArray[np.float32]) -> tuple[NDArray[np.float64], float]:
         """Return the velocity (v_x, v_z, omega_y) in m/s and rad/s, and the force in N."""

@@ -38,19 +38,7 @@ class RewardParameters:
 def reward_terms(
     features: NDArray[np.float64], force: float, visible: bool, parameters: RewardParameters
 ) -> dict[str, float]:
-    """Return the terms of the reward, each from 0 to 1; their mean is the reward.
-
-    Parameters
-    ----------
-    features
-        True (x, z, theta) of the needle in P, in m and rad; NaN without a needle.
-    force
-        True contact force, in N.
-    visible
-        Whether any of the needle lies in the field of view.
-    parameters
-        Scales.
-    """
+    """Return the reward's terms, 0 to 1 each, of true features in m and rad and a force in N."""
     there = bool(np.isfinite(features).all()) and visible
     x, z, theta = features if there else np.full(3, np.inf)
     wanted, half = parameters.force

@@ -109,25 +109,7 @@ def check_entry(scenario: FollowingScenario, surface: BodySurface) -> None:
 def check_beside_probe(
     scenario: FollowingScenario, insertion: Insertion, surface: BodySurface
 ) -> None:
-    """Check that no part of the needle outside the phantom passes through the probe at its start.
-
-    The probe that follows the needle is not checked, as the controller knows nothing of the shaft.
-
-    Parameters
-    ----------
-    scenario
-        Scenario with the station.
-    insertion
-        Insertion of the needle.
-    surface
-        Surface of the phantom.
-
-    Raises
-    ------
-    ValueError
-        If the needle would pass through the probe where it has landed; the message says what to
-        change.
-    """
+    """Check that the needle outside the phantom passes beside the probe where it has landed."""
     station = scenario.station
     X_TP = station.X_WT.InvertAndCompose(station.probe_pose(height=-_INDENTATION, surface=surface))
     outside = insertion.entry - np.outer(np.arange(0.0, _SHAFT, 1e-3), insertion.direction)

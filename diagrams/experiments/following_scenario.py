@@ -102,10 +102,7 @@ class FollowingScenario(Scenario):
 
     @classmethod
     def as_published(cls, data: Mapping[str, Any]) -> dict[str, Any]:
-        """Return data with a published tracker, and eq. 25 of Chatelain 2013 as the controller.
-
-        The tracker is the published form of the data's own, which is Chatelain's by default.
-        """
+        """Return data with the published form of its tracker, and eq. 25 as the controller."""
         tracker = data.get("tracker", {})
         tracker = {"kind": tracker} if isinstance(tracker, str) else dict(tracker)
         kind = str(tracker.get("kind", Chatelain2013TrackerParameters.kind))

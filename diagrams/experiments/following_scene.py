@@ -61,14 +61,8 @@ def is_irregular(scenario: FollowingScenario, geometry: SweepGeometry) -> bool:
 def tracker_events(scenario: Scenario) -> dict[str, float]:
     """Return the period and the offset in s of the events at which a tracker looks for a volume.
 
-    There is a new volume at each of them, unless volumes are lost. If they come late, or the
-    tracker needs longer than a sweep takes, it looks after every frame; the scanner then withholds
-    a volume for the processing time.
-
-    Raises
-    ------
-    ValueError
-        If the scenario's transducer or imaging is not possible.
+    If volumes come late, or the tracker needs longer than a sweep takes, it looks after every
+    frame; the scanner then withholds a volume for the processing time.
     """
     scenario = require_scenario(scenario, FollowingScenario)
     geometry = sweep_geometry(load_transducer(scenario.probe), scenario.imaging)
@@ -91,11 +85,7 @@ def recording_settings(scenario: FollowingScenario) -> dict[str, Any]:
 def planned_sources(
     scenario: FollowingScenario, insertion: Insertion, console: "Console | None" = None
 ) -> dict[str, System]:
-    """Return the sources of a scenario, by name: phantom_motion, hand and controller_settings.
-
-    With a console, there is also an operator_panel, and its operator may change the controller's
-    gain and force beside the planned changes.
-    """
+    """Return the sources by name; with a console, its operator_panel changes the settings."""
     schedule = scenario.controller_schedule
     settings: dict[str, System] = {"controller_settings": ScheduledSettings(schedule=schedule)}
     if console is not None:

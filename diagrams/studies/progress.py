@@ -88,11 +88,7 @@ def _posterior(prior: float, seconds: float, ended: int) -> float:
 
 
 class StudyProgress:
-    """Progress bar of a study, which also shows lines of text above it.
-
-    `console`: console to show it on, if any; `executor`: executor of the cases; `pending`: cases to
-    run; `known`: outcomes of earlier runs of the study.
-    """
+    """Progress bar of a study, which also shows lines of text above it."""
 
     def __init__(
         self,
@@ -171,11 +167,7 @@ def _duration(seconds: float) -> str:
 
 
 class Heartbeat:
-    """Prints how long something has taken, again and again, unless the console is a terminal.
-
-    `console`: console to print on; `what`: what is being done; `period`: time between two lines, in
-    s.
-    """
+    """Prints every few seconds how long something has taken, unless the console is a terminal."""
 
     def __init__(self, console: Console, what: str, period: float = 5.0) -> None:
         self._console, self._what, self._period = console, what, period

@@ -21,16 +21,13 @@ RunT = TypeVar("RunT")
 
 @dataclass(frozen=True)
 class Value:
-    """A figure of one method: true, estimated, and the 95 % interval; None if there is none.
-
-    A share in % also has its number of runs.
-    """
+    """A figure of one method: true, estimated, and the 95 % interval; None if there is none."""
 
     true: float | None = None
     estimated: float | None = None
     low: float | None = None
     high: float | None = None
-    share_of: int | None = None
+    share_of: int | None = None  # number of runs of a share in %
 
 
 def pooled(runs: Sequence[Floats], statistic: Callable[[Floats], float]) -> Value:

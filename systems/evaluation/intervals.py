@@ -21,18 +21,7 @@ class Interval(NamedTuple):
 
 
 def proportion_interval(successes: int, total: int) -> Interval:
-    """Return the Wilson score interval of a proportion, from 0 to 1.
-
-    Parameters
-    ----------
-    successes, total
-        Number of successes, and of runs; without runs the interval is from 0 to 1.
-
-    Raises
-    ------
-    ValueError
-        If there are more successes than runs, or fewer than none.
-    """
+    """Return the Wilson score interval of a proportion, from 0 to 1; all of it without runs."""
     require(0 <= successes <= total, "successes", successes, f"from 0 to {total}")
     if not total:
         return Interval(0.0, 1.0)

@@ -21,11 +21,7 @@ _WINDOW = 0.3
 
 
 def features(X_WP: ArrayLike, p_WTip: ArrayLike, p_WEntry: ArrayLike) -> Floats:
-    """Return the visual features of needles given in W; see `needle_features`.
-
-    Returns (n, 3) array of x and z of the tip in P in m, and of theta in rad; NaN for an unknown
-    needle.
-    """
+    """Return (n, 3) features x, z in m and theta in rad of needles in W; NaN for an unknown one."""
     X_WP, p_WTip = np.asarray(X_WP), np.asarray(p_WTip)
     R_PW = np.swapaxes(X_WP[:, :3, :3], 1, 2)
     tip = np.einsum("nij,nj->ni", R_PW, p_WTip - X_WP[:, :3, 3])
@@ -35,10 +31,7 @@ def features(X_WP: ArrayLike, p_WTip: ArrayLike, p_WEntry: ArrayLike) -> Floats:
 
 
 def needle_speed(log: RunLog, window: float) -> Floats:
-    """Return the speed of the true tip in W, without the hand's tremor.
-
-    Returns (n,) speed in m/s; NaN while the needle is outside the tissue.
-    """
+    """Return the (n,) speed of the true tip in W in m/s, without tremor; NaN outside the tissue."""
     known = is_known(log.needle_tip)
     speed = np.full(len(log.time), np.nan)
     if known.sum() < 2:
@@ -58,31 +51,13 @@ def needle_speed(log: RunLog, window: float) -> Floats:
 
 @dataclass(frozen=True, kw_only=True)
 class EstimateErrors:
-    """Errors of the estimate after each volume; NaN if there is no estimate or no needle.
+    """Errors of the estimate after each of v volumes; NaN without an estimate or a needle."""
 
-    Parameters
-    ----------
-    tip
-        (v,) distance from the true to the estimated tip, in m.
-    axial, lateral
-        (v,) parts of that distance along and across the true needle, in m. The axial part is
-        positive beyond the true tip.
-    axis
-        (v,) angle between the true and the estimated direction, in rad. The estimated direction
-        runs from the estimated entry to the estimated tip. The true direction runs to the true tip
-        from the needle's point nearest to the estimated entry, because a bent needle has not been
-        seen before that point.
-    in_probe
-        (v,) distance from the true to the estimated tip in m, each in the probe's frame: the
-        estimate seen from the measured pose, the needle from the true pose. Errors of the probe's
-        pose itself do not count.
-    """
-
-    tip: Floats
-    axial: Floats
-    lateral: Floats
-    axis: Floats
-    in_probe: Floats
+    tip: Floats  # (v,) distance from the true tip, in m
+    axial: Floats  # part along the needle, positive beyond its tip
+    lateral: Floats  # part across it
+    axis: Floats  # (v,) angle to the true direction, from where it was first seen, in rad
+    in_probe: Floats  # (v,) distance in P, in m: errors of the measured pose do not count
 
 
 def estimate_errors(log: RunLog) -> EstimateErrors:
@@ -106,11 +81,7 @@ def estimate_errors(log: RunLog) -> EstimateErrors:
 
 
 def normalized_squared_errors(errors: Floats, covariances: Floats) -> Floats:
-    """Return the normalised estimation error squared (NEES) of each estimate.
-
-    Returns (v,) squared Mahalanobis distances; NaN where an error or a covariance is unknown. Their
-    mean is the rank if the uncertainty is right.
-    """
+    """Return (v,) squared Mahalanobis distances (NEES); NaN where anything is unknown."""
     result = np.full(len(errors), np.nan)
     known = is_known(errors) & is_known(covariances.reshape(-1, 9))
     inverse = np.linalg.pinv(covariances[known], rcond=1e-9, hermitian=True)
@@ -176,11 +147,7 @@ def in_frame(X_WP: Floats, p_W: Floats) -> Floats:
 
 
 def _direction(points: Floats, entry: Floats) -> Floats:
-    """Return the directions of needles, from the point where each is first seen to its tip.
-
-    Returns (v, 3) unit vectors; NaN for a needle with NaN in its points or its entry. At least the
-    last tenth of the needle is used.
-    """
+    """Return (v, 3) directions from where each is first seen, or its last tenth, to the tip."""
     direction = np.full((len(points), 3), np.nan)
     known = is_known(points).all(axis=1) & is_known(entry)
     if known.any():
@@ -223,15 +190,7 @@ The tip is always among the points evaluated.
 
 
 def curve_deviations(log: RunLog, geometry: SweepGeometry) -> Floats:
-    """Return the largest distance between the true and the estimated needle, after each volume.
-
-    The true needle and the probe are taken at the time for which the estimate holds. Only the parts
-    in the image count. The true needle counts from the estimated entry on, where it was first seen,
-    because the estimate does not cover the part before.
-
-    Returns (v,) distances in m; NaN if there is no estimate or no needle, or if either has no point
-    in the image.
-    """
+    """Return the (v,) largest distances in the image of true and estimated needle, in m."""
     time = log.volume_estimate_time
     true = at_times(log, log.needle_points, time)
     poses = at_times(log, log.X_WP, time)
@@ -245,10 +204,7 @@ def curve_deviations(log: RunLog, geometry: SweepGeometry) -> Floats:
 
 
 def deviation(true: Floats, estimate: NeedleCurve, geometry: SweepGeometry) -> float:
-    """Return the largest distance between two curves in the image, in both directions, in m.
-
-    It is NaN if either curve has no point in the image.
-    """
+    """Return the largest distance in m of two curves in the image; NaN if one lies outside."""
     u = np.linspace(0, 1, _POINTS)
     truth, guess = CubicSpline(np.linspace(0, 1, len(true)), true)(u), estimate.position(u)
     first = int(np.argmin(np.linalg.norm(truth - guess[0], axis=1)))

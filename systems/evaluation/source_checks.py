@@ -1,8 +1,4 @@
-"""Checks of a source of volumes or frames: what a person asks before anything is tracked in it.
-
-Each check takes what a source tells (times, matrices, volumes) and returns findings. A finding that
-needs something to be done says what.
-"""
+"""Checks of a source of volumes or frames: what a person asks before anything is tracked in it."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -77,11 +73,7 @@ class Grade(IntEnum):
 
 @dataclass(frozen=True)
 class Finding:
-    """Outcome of a check.
-
-    `check`, `grade`: what was checked, and how grave it is; `text`: what was found, with its
-    figures; `advice`: what to do; empty if nothing needs doing.
-    """
+    """Outcome of a check: what was found, and what to do, empty if nothing needs doing."""
 
     check: Check
     grade: Grade

@@ -1,7 +1,4 @@
-"""Success of a run: whether the needle was found, kept and tracked accurately.
-
-One definition serves the studies, the verdict of a run, its table and the exit status.
-"""
+"""Success of a run, one definition for studies, verdicts, tables and the exit status."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -32,18 +29,12 @@ SUCCESS_MM, SUCCESS_DEG = 2.0, 2.0
 
 @dataclass(frozen=True, eq=False)
 class TrackedVolumes:
-    """Results of a tracker in the v volumes of a run, judged against ground truth.
+    """Results of a tracker in the v volumes of a run, judged against ground truth."""
 
-    `tip`, `axis`: (v,) errors in mm and deg; infinite without an estimate or a needle; `tracking`:
-    (v,) mask of the volumes that confirmed a needle; `to_be_seen`: (v,) length of the true needle
-    that there was to be seen, in mm: that which stands out in the volume, if it was measured, or
-    else that in view.
-    """
-
-    tip: Floats
-    axis: Floats
-    tracking: NDArray[np.bool_]
-    to_be_seen: Floats
+    tip: Floats  # (v,) errors in mm; infinite without an estimate or a needle
+    axis: Floats  # the same, in deg
+    tracking: NDArray[np.bool_]  # (v,) volumes that confirmed a needle
+    to_be_seen: Floats  # (v,) length in mm that stands out, or else that in view
 
     @classmethod
     def of(cls, log: RunLog) -> "TrackedVolumes":
@@ -105,11 +96,7 @@ def finite_or_infinite(errors: Floats) -> Floats:
 
 
 def judged_errors(log: RunLog, *, across_depth: bool = False) -> tuple[Floats, Floats]:
-    """Return the (v,) errors of the tip in m and of the direction in rad, after each volume.
-
-    The true direction is that of the needle's front half. They are NaN without an estimate or a
-    needle. ``across_depth`` leaves out the errors along the depth.
-    """
+    """Return (v,) errors of tip in m and of direction (the needle's front half) in rad."""
     time = log.volume_estimate_time
     X_WP, points = at_times(log, log.X_WP, time), at_times(log, log.needle_points, time)
     middle, true_tip, tip, entry = (
@@ -129,10 +116,7 @@ def judged_errors(log: RunLog, *, across_depth: bool = False) -> tuple[Floats, F
 
 
 def from_needle(log: RunLog, time: Floats, p_W: Floats) -> Floats:
-    """Return the (m,) distances in m of (m, 3) points from the true needle at (m,) times in s.
-
-    They are NaN where there is no needle or no point.
-    """
+    """Return (m,) distances in m of points in W from the true needle; NaN without one."""
     tip, entry = at_times(log, log.needle_tip, time), at_times(log, log.needle_entry, time)
     along = np.sum((p_W - entry) * (tip - entry), axis=1)
     squared = np.sum((tip - entry) ** 2, axis=1)

@@ -21,13 +21,7 @@ _LEAST_PAIRS = 2
 
 
 def sweep_delay(sweeps: Sequence[Sequence[PosedFrame]]) -> tuple[float, float] | NotFound:
-    """Return the delay of poses at which a sweep shows what the one before showed.
-
-    A pose that is late puts the frames of a sweep to one side of where they belong, and those of
-    the sweep back to the other. The delay is that at which both correlate best; its standard
-    deviation is that of the mean over pairs of sweeps, widened for their small number so that twice
-    of it is the 95 % interval.
-    """
+    """Return the delay of poses in s at which sweeps to and fro agree, and half its 95 %."""
     delays = [
         best
         for earlier, later in pairwise(sweeps)

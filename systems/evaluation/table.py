@@ -35,11 +35,7 @@ def cell_text(value: Cell, missing: str = "–") -> str:
 
 
 class Table:
-    """Rows of cells under heads, each row beginning with its label.
-
-    `heads`: head of each column; all empty for a table without heads; `rows`: cells of each row;
-    `missing`: text of a cell without a value.
-    """
+    """Rows of cells, each beginning with its label, under heads (all empty for none)."""
 
     def __init__(
         self, heads: Sequence[str], rows: Sequence[Sequence[Cell]], missing: str = ""

@@ -151,10 +151,7 @@ class Insertion(Immutable):
         return not self._obstacle(now, wanted, float(self._motion.steady_depth(time)))
 
     def depth(self, time: float) -> float:
-        """Return the inserted depth in m, never below zero.
-
-        For a hand the depth is measured along the shaft, and for a template along the aim.
-        """
+        """Return the inserted depth in m: along the shaft, or behind a template the aim."""
         return self._motion.depth(time)
 
     def needle(self, time: float) -> Needle:
@@ -194,11 +191,7 @@ class Insertion(Immutable):
         return entry + np.outer([length, deepest], along)
 
     def _roll(self, time: float, depth: float) -> float:
-        """Return the roll of the bevel's face in rad, with the tip at a depth along the aim in m.
-
-        A bevelled tip bends away from its face. On a bent needle, the twist of a curved axis
-        against the vertical is neglected.
-        """
+        """Return the roll of the bevel's face in rad, at a tip's depth along the aim in m."""
         turn = self._motion.turn(time)
         if self.path is None:
             return self._first_roll - turn

@@ -35,20 +35,14 @@ class NeedleMotion(Protocol):
         """Return the depth in m including tremor, never below zero."""
 
     def cut(self, time: float, length: float) -> tuple[Floats, Floats] | None:
-        """Return the arcs cut until a time, down to a present length in m; None without turning.
-
-        The arcs are those of `cut_arcs`. Their angles are relative to the bevel's initial one.
-        """
+        """Return the arcs (`cut_arcs`) until a time, to a present length in m, if turned."""
 
     def turn(self, time: float) -> float:
         """Return the angle by which the needle has been turned about its axis, in rad."""
 
 
 class Feed:
-    """Feed at constant speed, with depths along the aimed direction.
-
-    `parameters`: speed, depth and lead; `start`: time at which the feed begins, in s.
-    """
+    """Feed at constant speed from a time in s on, with depths along the aimed direction."""
 
     def __init__(self, parameters: FeedParameters, start: float) -> None:
         self._parameters = parameters
@@ -77,10 +71,7 @@ class Feed:
 
 
 class HandMotion:
-    """Motion by a hand's pushes, with depths that are lengths of the inserted shaft.
-
-    `parameters`: pushes, ramp and tremor; `rng`: generator of the tremor's frequencies and phases.
-    """
+    """Motion by a hand's pushes, with depths that are lengths of the inserted shaft."""
 
     def __init__(self, parameters: InsertionParameters, rng: np.random.Generator) -> None:
         pushes, start = parameters.pushes, parameters.start or 0.0

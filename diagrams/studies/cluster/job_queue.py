@@ -47,11 +47,7 @@ _KIND[list] = "a list of lines of text"
 
 @dataclass(frozen=True)
 class JobQueue:
-    """Jobs of a batch system that serve as workers.
-
-    `kind`: class of dask-jobqueue, such as ``SLURMCluster``; `jobs`: number of jobs to ask for;
-    `arguments`: arguments of the class.
-    """
+    """Jobs of a batch system that serve as workers: class of dask-jobqueue, and its arguments."""
 
     kind: type
     jobs: int = 1
@@ -68,20 +64,7 @@ class JobQueue:
 
 
 def read_job_queue(path: Path) -> JobQueue:
-    """Read a YAML file that names a class of dask-jobqueue and its arguments.
-
-    Parameters
-    ----------
-    path
-        File with the fields ``class`` (such as ``SLURMCluster``), ``jobs`` (1 by default) and
-        ``arguments``, which are those of the class.
-
-    Raises
-    ------
-    ConfigurationError
-        If dask-jobqueue is missing, or a field is wrong; the message names the field, its value and
-        what is allowed.
-    """
+    """Read the fields ``class``, ``jobs`` and ``arguments`` of a YAML file for dask-jobqueue."""
     try:
         with _keeping_handler_of_ctrl_c():
             import dask_jobqueue

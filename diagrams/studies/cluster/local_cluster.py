@@ -21,12 +21,7 @@ _CALM = {
 
 @contextmanager
 def local_cluster(cases: int) -> Iterator[LocalCluster]:
-    """Start a scheduler and a worker for each of so many cases at a time; they end with the block.
-
-    Yields
-    ------
-    The cluster.
-    """
+    """Start a scheduler and a worker for each of so many cases; they end with the block."""
     with dask.config.set(_CALM), keeping_ctrl_c():
         cluster = LocalCluster(
             n_workers=cases,

@@ -51,12 +51,9 @@ def make_dataset(
 ) -> dict[str, Any]:
     """Make labelled sequences with a different needle, tissue and probe each.
 
-    The probe is held still. The scenario provides the settings of the scanner, the grid and the
-    phantom. Drawn at random are the entry, angle, bend, gauge and speed of the needle, the pose of
-    the probe, the tissue with its inclusions, the transducer with its unpublished properties, and
-    gain, frequency and focus. All draws follow from the sequence's seed, counted up from
-    `scenario.seed`. Complete sequences from an earlier call are kept, and the manifest lists those
-    of all calls with the same store.
+    The probe is held still. The scenario provides the scanner's settings, the grid and the phantom;
+    needle, pose, tissue, transducer, gain, frequency and focus are drawn by the sequence's seed,
+    counted up from `scenario.seed`. Complete sequences from an earlier call are kept and listed.
 
     Parameters
     ----------
@@ -64,29 +61,19 @@ def make_dataset(
         Scenario of following, with the seed of the first sequence.
     out
         Folder for the outcomes and a copy of manifest.json.
-    count
-        Number of sequences.
-    volumes
-        Number of volumes in each sequence, at the scenario's rate.
+    count, volumes
+        Number of sequences, and of volumes in each, at the scenario's rate.
     transducers
         Probes to draw from, by name or path; empty for the scenario's.
     randomize
         Whether to also draw the dials of the harder world; see `draw_dials`.
     layout
-        One of the `LAYOUTS`: "sequences", a folder for each sequence with volumes.seq.nrrd,
-        volumes.acquisition.jsonl, mask_000.seg.nrrd and so on, and labels.json; "nnunet", the
-        folders imagesTr and labelsTr with dataset.json and splits_final.json, and labels; or "zea",
-        a folder for each sequence with volumes.hdf5, which holds the masks, too, and labels.json.
+        One of the `LAYOUTS`.
     store
-        Folder or URL of fsspec for manifest.json and the sequences; by default, ``out``. The
-        workers of a cluster write into a given store themselves; without one, everything comes back
-        to this process.
-    jobs
-        Number of processes; -1 for one per core.
-    cluster
-        Cluster to run on instead, from `open_cluster`.
-    console
-        Console on which to show progress, if any.
+        Folder or URL of fsspec for manifest.json and the sequences, which the workers of a cluster
+        write to; by default, everything comes back into ``out``.
+    jobs, cluster, console
+        See `run_cases`.
 
     Returns
     -------

@@ -67,11 +67,7 @@ def write_layout(
 
 
 def nnunet_files(sequences: Sequence[Mapping[str, Any]]) -> dict[str, bytes]:
-    """Return dataset.json and splits_final.json of nnU-Net for the sequences of a manifest.
-
-    The volumes of a sequence resemble each other, so each of the five folds validates with
-    sequences that it does not train with.
-    """
+    """Return nnU-Net's dataset.json and splits_final.json; sequences stay whole in the folds."""
     ending = ".nrrd"
     names = [
         [Path(file).stem for file in each["files"] if file.startswith("labelsTr/")]

@@ -92,8 +92,8 @@ def _load(text: str, dials: DrawnDials, seed: int) -> FollowingScenario:
 class _Scene:
     """Scanner, tissue and needle of a sequence; the tissue's frame at rest is the world frame.
 
-    The probe rests. It is taken to follow the breath from volume to volume, so the tissue breathes
-    relative to the middle of each sweep.
+    The resting probe follows the breath from volume to volume, so the tissue breathes relative to
+    the middle of each sweep.
     """
 
     def __init__(
@@ -157,11 +157,7 @@ def needle_as_imaged(
     geometry: SweepGeometry,
     direction: int,
 ) -> Needle:
-    """Return a needle in P as a sweep shows it, while the tissue moves and slows the sound.
-
-    Each of its points is where the frame that saw it had it, at the depth that follows from the
-    speed of sound that the scanner assumes.
-    """
+    """Return a needle in P as a sweep shows it: each point by its own frame, at the depth shown."""
     if not needle:
         return needle
     count = max(len(needle.shaft), int(np.ceil(needle.length / _SPACING)) + 1)
@@ -181,11 +177,7 @@ def needle_as_imaged(
 
 
 def needle_mask(volume: Volume, needle: Needle) -> NDArray[np.bool_]:
-    """Return the mask of the seen voxels through which a needle, given in P, passes.
-
-    Their centres lie within the needle's radius of its axis or, because a needle may be thinner
-    than the grid, within 0.75 of the largest spacing.
-    """
+    """Return the mask of seen voxels within a needle's radius, or 0.75 spacings, of its axis."""
     mask: NDArray[np.bool_] = np.zeros(volume.intensities.shape, dtype=bool)
     radius = max(needle.radius, 0.75 * float(volume.spacing.max()))
     last = np.array(volume.intensities.shape)

@@ -56,8 +56,8 @@ def make_episodes(
 ) -> dict[str, Any]:
     """Run a scenario with several seeds, and write its episodes as a data set of LeRobot.
 
-    A frame is a volume: its two middle planes, the joints, the features that the servo saw, the
-    wrist's force and torque, and what servo and force law were told.
+    A frame is a volume: its two middle planes, joints, features as the servo saw them, wrench of
+    the wrist, and what servo and force law were told.
 
     Parameters
     ----------

@@ -12,17 +12,7 @@ AS_PUBLISHED = ", as published"
 
 
 def run_case(case: Case) -> WithFiles:
-    """Run a case's scenario.
-
-    Parameters
-    ----------
-    case
-        Case whose settings name a `scenario`, `changes` to it, and perhaps `as_published`.
-
-    Returns
-    -------
-    `summary`, as in summary.json, and the rest of `describe_run`; and the log as a file.
-    """
+    """Run a case's scenario; return summary and `describe_run`, and the log as a file."""
     experiment = FollowingExperiment(load_case(case))
     experiment.run()
     log, scenario = experiment.log(), experiment.scenario

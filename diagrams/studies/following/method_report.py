@@ -20,11 +20,7 @@ _MM, _DEG = 1e3, float(np.rad2deg(1))
 
 
 class MethodRuns(RunGroup[Run]):
-    """Runs of one experiment with one method.
-
-    `outcomes`: outcomes of all experiments; `name`: name of the experiment; `logs`: folder of the
-    logs, if there are any.
-    """
+    """Runs of one experiment, by its name, with one method."""
 
     def __init__(self, outcomes: Sequence[Outcome], name: str, logs: Path | None = None) -> None:
         mine = [each for each in outcomes if each.case.experiment == name]
@@ -41,10 +37,7 @@ class MethodRuns(RunGroup[Run]):
 
 
 class Comparison:
-    """Runs of one experiment with both methods, and the rows made from them.
-
-    `outcomes`, `name`, `logs`: see `MethodRuns`.
-    """
+    """Runs of one experiment with both methods, and the rows made from them."""
 
     def __init__(self, outcomes: Sequence[Outcome], name: str, logs: Path | None = None) -> None:
         self.name = name
@@ -103,10 +96,7 @@ def add_rest_rows(
     known: Sequence[tuple[float | None, float | None]] = 3 * ((None, None),),
     share: float | None = None,
 ) -> None:
-    """Add the rows of the features at rest: where a run converged, and its median over all.
-
-    A mean over all runs would tell how far the runs that failed happened to go.
-    """
+    """Add the rows of the features at rest: where a run converged, and its median over all."""
     group.row(
         "runs that converged", "%", lambda m: m.share(lambda run: run.converged()),
         target=share, wanted="at least",

@@ -48,11 +48,7 @@ def plot_key_frames(log: RunLog, pictures: Sequence[VolumePictures]) -> dict[str
 
 
 def key_volumes(log: RunLog, parameters: MetricsParameters | None = None) -> dict[int, str]:
-    """Return a description of each telling volume, by its number, in order of time.
-
-    These are the detection, the first loss, the largest error of the tip and the last rest. If no
-    needle was found, it is the volume that shows most of the needle.
-    """
+    """Return words on each telling volume by number: detection, loss, largest error, rest."""
     parameters = parameters or MetricsParameters()
     judged = judged_volumes(log, parameters)
     if not judged.any():

@@ -52,17 +52,7 @@ def check_movie(path: Path) -> None:
 
 
 def write_movie(path: Path, frames: Iterable[Frame], rate: float) -> Path:
-    """Write a movie, atomically.
-
-    Parameters
-    ----------
-    path
-        Path of the movie, with a suffix of `FORMATS`.
-    frames
-        (rows, columns, 3) pictures of one size, at least one.
-    rate
-        Frames per second.
-    """
+    """Write (rows, columns, 3) pictures of one size as a movie of `FORMATS`, at a rate in 1/s."""
     check_movie(path)
     frames = iter(frames)
     first = next(frames, None)

@@ -43,12 +43,7 @@ def write_pictures(path: str | Path, pictures: Sequence[VolumePictures]) -> Path
 
 
 def read_pictures(path: str | Path) -> list[VolumePictures]:
-    """Read the pictures of a run.
-
-    The file has, for v volumes with p slices in all: ``time`` (v,) in s, ``mode`` (v,), number of
-    ``planes`` (v,), and for every slice ``X_PS`` (p, 4, 4), ``extent`` (p, 4) in mm, ``needle`` (p,
-    21, 2) in mm, and ``length`` (p,) of its part of ``jpeg`` in bytes. See `PlanePicture`.
-    """
+    """Read the pictures of a run that `write_pictures` wrote."""
     path = Path(path)
     with refusing_failures(path, "not pictures of a run, or damaged"):
         require_memory(2 * path.stat().st_size, str(path), "its pictures")

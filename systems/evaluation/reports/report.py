@@ -17,11 +17,7 @@ from sonoservo.systems.files.writing import write_atomically
 
 @dataclass(frozen=True, kw_only=True)
 class Change:
-    """A field of a scenario that differs from what it is compared with.
-
-    `path`: dotted path of the field; `meaning`: description of the field; empty if it has none;
-    `before`, `after`: both values as text; a dash where there is no such field.
-    """
+    """A field of a scenario that differs from what it is compared with; both values as text."""
 
     path: str
     meaning: str = ""
@@ -31,19 +27,14 @@ class Change:
 
 @dataclass(frozen=True, kw_only=True)
 class Story:
-    """Content of a report besides figures and plots.
-
-    `verdict`: verdict on the run; `scenario`: sentences that describe the scenario; `base`: what
-    the scenario is compared with; `changes`: fields in which it differs from that; `command`:
-    command that repeats the run; `links`: text of each link, by its relative address.
-    """
+    """Content of a report besides figures and plots."""
 
     verdict: Verdict | None = None
-    scenario: Sequence[str] = ()
-    base: str = ""
-    changes: Sequence[Change] = ()
-    command: str = ""
-    links: Mapping[str, str] = field(default_factory=dict)
+    scenario: Sequence[str] = ()  # sentences that describe it
+    base: str = ""  # what the scenario is compared with
+    changes: Sequence[Change] = ()  # fields in which it differs from that
+    command: str = ""  # repeats the run
+    links: Mapping[str, str] = field(default_factory=dict)  # text by relative address
 
 
 def report_page(
@@ -107,11 +98,7 @@ def write_report(
 
 
 def save_replay(meshcat: Meshcat, path: str | Path) -> Path:
-    """Write a Meshcat's recording as one HTML page that needs no server.
-
-    Call ``meshcat.StartRecording()`` before the simulator is initialised: the recording lacks
-    everything shown or hidden earlier. The live page, if one is open, plays the recording too.
-    """
+    """Write a Meshcat's recording, begun before the simulation, as a page without server."""
     meshcat.StopRecording()
     meshcat.PublishRecording()
     return write_atomically(path, meshcat.StaticHtml())

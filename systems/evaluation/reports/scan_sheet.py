@@ -27,28 +27,18 @@ _INK, _QUIET, _PAPER, _NEEDLE = "#F2F2F2", "#9AA4AD", "#0E1116", "#FFB000"
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """Positions of the pixels of a picture, and its labels.
-
-    `title`, `horizontal`, `vertical`: title of the picture and names of its axes; `p_P`: (rows,
-    columns, 3) positions of the pixels in P, in m; `columns`, `rows`: coordinates of the pixels
-    along the horizontal and the vertical axis, in m.
-    """
+    """Positions in P of the pixels of a picture, in m, and its labels."""
 
     title: str
     horizontal: str
     vertical: str
-    p_P: Floats
-    columns: Floats
-    rows: Floats
+    p_P: Floats  # (rows, columns, 3)
+    columns: Floats  # coordinates along the horizontal axis, in m
+    rows: Floats  # along the vertical axis
 
 
 def scan_sheet(sweep: Sweep, volume: Volume, needle: Needle, *, caption: str) -> Figure:
-    """Return a figure of a frame in the shape of its sector, and three slices through the sweep.
-
-    Slices are interpolated from the samples of the sweep. A dotted line surrounds the true needle
-    at a distance of 3 mm, which leaves its echo visible, and an arrow points at its tip. There are
-    two slices if the sweep does not contain the needle.
-    """
+    """Return a figure of a frame in its sector, and of three slices with the true needle marked."""
     figure = Figure(figsize=(13, 9.6), facecolor=_PAPER, layout="constrained")
     figure.get_layout_engine().set(w_pad=0.12, h_pad=0.12)
     shaft = volume.to_probe(needle.shaft) if needle else np.zeros((0, 3))

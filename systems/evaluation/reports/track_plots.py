@@ -32,18 +32,12 @@ TIP_CAPTION = "The estimated tip in the file's own coordinates, and the length o
 
 @dataclass(frozen=True, eq=False)
 class PlanePicture:
-    """A slice through a volume, and the needle in it.
-
-    `jpeg`: grey levels, coded as JPEG, because a run keeps the pictures of all its volumes; `X_PS`:
-    pose of the picture's frame S in P: X to the right, Y down, origin at the centre; `extent`:
-    left, right, bottom and top edges of the picture, in mm from its centre; `needle`: (m, 2) points
-    of the estimated needle in the same coordinates; none without an estimate.
-    """
+    """A slice through a volume as JPEG, and the needle in it."""
 
     jpeg: bytes
-    X_PS: RigidTransform
-    extent: tuple[float, float, float, float]
-    needle: Floats
+    X_PS: RigidTransform  # pose in P of the picture's frame: X right, Y down, origin at its centre
+    extent: tuple[float, float, float, float]  # left, right, bottom, top in mm from its centre
+    needle: Floats  # (m, 2) points of the estimate, in mm; none without one
 
     @property
     def grey(self) -> NDArray[np.uint8]:
@@ -58,29 +52,15 @@ class PlanePicture:
 
 @dataclass(frozen=True, eq=False)
 class VolumePictures:
-    """The two orthogonal planes through the needle in one volume (`slice_planes`).
-
-    `time`: time of the volume, in s; `mode`: tracking mode after the volume; `planes`: slice along
-    the beam, then the slice across it.
-    """
+    """The two orthogonal planes through the needle in one volume (`slice_planes`)."""
 
     time: float
     mode: TrackingMode
-    planes: list[PlanePicture]
+    planes: list[PlanePicture]  # along the beam, then across it
 
 
 def picture_planes(volume: Volume, mode: TrackingMode, curve: NeedleCurve | None) -> VolumePictures:
-    """Slice a volume along the needle, or through its middle if there is none.
-
-    Parameters
-    ----------
-    volume
-        Volume to slice.
-    mode
-        Tracking mode after the volume.
-    curve
-        Estimated needle in W.
-    """
+    """Slice a volume along the estimated needle in W, or through its middle if there is none."""
     points = np.zeros((0, 3))
     if curve is not None:
         points = volume.to_probe(curve.position(np.linspace(0, 1, 21)))
@@ -120,17 +100,7 @@ def plot_planes(pictures: list[VolumePictures]) -> Figure:
 
 
 def plot_tip(times: Floats, estimates: list[NeedleEstimate], p_LTip: Floats) -> Figure:
-    """Return a figure of the estimated tip in the file's coordinates, and of the needle's length.
-
-    Parameters
-    ----------
-    times
-        (n,) times of the volumes, in s.
-    estimates
-        Estimate after each volume.
-    p_LTip
-        (n, 3) estimated tips in the file's frame L (LPS), in m; NaN without an estimate.
-    """
+    """Return a figure of (n, 3) tips in the file's frame L in m, and of the needle's length."""
     figure = Figure(figsize=(9, 5), layout="constrained")
     tip, length = figure.subplots(2, 1, sharex=True)
     confirmed = np.array([each.mode == TrackingMode.TRACKING for each in estimates])

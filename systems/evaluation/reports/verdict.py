@@ -10,20 +10,10 @@ from sonoservo.systems.evaluation.success import RunOutcome, run_outcome
 
 @dataclass(frozen=True)
 class Verdict:
-    """Outcome of a run in words.
+    """Outcome of a run in words."""
 
-    Parameters
-    ----------
-    headline
-        The outcome, without a full stop.
-    text
-        Sentences with the figures that support it; may be empty.
-    grade
-        Whether the run reached its aim: "good", "mixed" or "bad".
-    """
-
-    headline: str
-    text: str = ""
+    headline: str  # without a full stop
+    text: str = ""  # sentences with the figures that support it
     grade: Literal["good", "mixed", "bad"] = "good"
 
     def __str__(self) -> str:

@@ -17,32 +17,22 @@ _WIDE = 0.1
 
 @dataclass(frozen=True, kw_only=True)
 class TrueBend:
-    """True path of a needle, and what is known of all needles.
+    """True path of a needle, and what is known of all needles."""
 
-    `radius`, `angle`: radius R in m and first angle theta_0 in rad; `rotations`: depths at which
-    the bevel is turned, in m; `wander`, `wander_length`: standard deviation of the curvature along
-    the path, relative to its mean, and its length in m; `radius_std`, `angle_std`: standard
-    deviations of R in m and of theta_0 in rad over all needles.
-    """
-
-    radius: float
-    angle: float
-    rotations: Sequence[float] = ()
-    wander: float = 0.0
+    radius: float  # R in m
+    angle: float  # first angle theta_0 in rad
+    rotations: Sequence[float] = ()  # depths at which the bevel is turned, in m
+    wander: float = 0.0  # standard deviation of the curvature, relative to its mean
     wander_length: float = 0.02
-    radius_std: float = 0.6
-    angle_std: float = 0.0873
+    radius_std: float = 0.6  # over all needles, in m
+    angle_std: float = 0.0873  # over all needles, in rad
 
 
 def deflection_bound(bend: TrueBend, seen: Floats, noise_std: float, depths: Floats) -> Floats:
-    """Return the least standard deviation of a predicted deflection u, in m.
+    """Return the (k,) least standard deviations of a predicted deflection u, in m.
 
-    It is the Bayesian Cramer-Rao bound (Van Trees 1968) with the information at the true path: no
-    estimator that knows the distribution of all needles has a smaller mean squared error. The
-    unknowns are the origin, R, theta_0 and the wander of the curvature. The plane of the bend does
-    not enter, as an error of it does not change u to first order.
-
-    Returns (k,) standard deviations in m.
+    Bayesian Cramer-Rao bound (Van Trees 1968) at the true path. The unknowns are the origin, R,
+    theta_0 and the wander; an error of the plane does not change u to first order.
     """
     modes = wander_modes(float(depths[-1]), bend.rotations, bend.wander_length)
     prior = [_WIDE, bend.radius_std, bend.angle_std]

@@ -42,16 +42,11 @@ LABELS = {
 
 @dataclass(frozen=True)
 class ShapeErrors:
-    """Errors of a predicted shape.
+    """Errors of a predicted shape."""
 
-    `tip`: error |u - u^| at the last depth, in m; `shape`: area between the paths, the integral of
-    |u - u^| over depth (eq. 8), in m^2; `largest`: largest distance between the paths perpendicular
-    to Z, in m.
-    """
-
-    tip: float
-    shape: float
-    largest: float
+    tip: float  # |u - u^| at the last depth, in m
+    shape: float  # integral of |u - u^| over depth (eq. 8), in m^2
+    largest: float  # largest distance perpendicular to Z, in m
 
 
 def plane_of(path: Floats) -> Floats:
@@ -95,11 +90,9 @@ def shape_coverage(shape: NeedleShape, path: Floats) -> dict[str, float]:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ShapeLog(Log):
-    """Log with one row for each slice; positions are in the probe frame I of the first slice.
+    """Log with one row for each slice, in m in the probe frame I of the first slice.
 
-    Each field is an array of the file `log.npz`, under its own name. A missing value is NaN, or an
-    empty text. The truth is the point at which the needle's axis would cross the slice if the
-    tissue had not moved.
+    The truth is where the needle's axis would cross the slice if the tissue had not moved.
     """
 
     depth: Annotated[Array, Column("depth of the slice", "m", ("n",))]
@@ -135,12 +128,7 @@ def tracked_to_the_end(log: ShapeLog) -> bool:
 
 
 def summarize_shape(log: ShapeLog, shape: object) -> dict[str, Any]:
-    """Summarise a run in figures for JSON; a figure without a value is None.
-
-    Returns
-    -------
-    Blocks by name: `tracking`, `prediction`, `compute_ms`.
-    """
+    """Summarise a run in blocks of figures for JSON; a figure without a value is None."""
     errors = 1e3 * cross_section_errors(log)
     found = errors[np.isfinite(errors)]
     compute = {

@@ -29,15 +29,11 @@ _HALF = 10e-3
 
 @dataclass(frozen=True, eq=False)
 class SlicePicture:
-    """Part of a slice around the needle.
+    """Part of a slice around the needle, as JPEG."""
 
-    `depth`: depth of the slice, in m; `jpeg`: grey levels, coded as JPEG; `extent`: left, right,
-    bottom and top edges in the probe's frame, in mm.
-    """
-
-    depth: float
+    depth: float  # in m
     jpeg: bytes
-    extent: tuple[float, float, float, float]
+    extent: tuple[float, float, float, float]  # left, right, bottom, top in P, in mm
 
 
 def picture_slice(image: ImageSlice, depth: float, middle: Floats) -> SlicePicture:

@@ -25,20 +25,7 @@ WORLD, PROBE = "world", "probe"
 
 
 class McapLog:
-    """Writes a file ``NAME.mcap``; see `ViewerLog`.
-
-    Numbers are messages ``{"value": ...}`` in JSON; everything else has Foxglove's schemas.
-
-    Parameters
-    ----------
-    path
-        Path of the file.
-
-    Raises
-    ------
-    ConfigurationError
-        If foxglove-sdk is not installed.
-    """
+    """Writes a file ``NAME.mcap`` with Foxglove's schemas; see `ViewerLog`."""
 
     def __init__(self, path: Path) -> None:
         self._foxglove = require_extra("foxglove", "mcap", path)

@@ -21,18 +21,7 @@ TIMELINE = "time"
 
 
 class RerunLog:
-    """Writes a recording of Rerun, ``NAME.rrd``; see `ViewerLog`.
-
-    Parameters
-    ----------
-    path
-        Path of the file.
-
-    Raises
-    ------
-    ConfigurationError
-        If rerun-sdk is not installed.
-    """
+    """Writes a recording of Rerun, ``NAME.rrd``; see `ViewerLog`."""
 
     def __init__(self, path: Path) -> None:
         self._rr = rr = require_extra("rerun", "rerun", path)

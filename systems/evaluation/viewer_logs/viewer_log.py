@@ -15,10 +15,7 @@ Colour = tuple[int, int, int]
 
 
 class ViewerLog(Protocol):
-    """A file that a viewer opens, with one time line in s of the simulation.
-
-    A name is a path with slashes; what is named ``probe/...`` is in P, in m, and moves with it.
-    """
+    """A file with one time line in s of the simulation; what is named ``probe/...`` is in P."""
 
     def poses(self, name: str, times: Floats, X_WF: Floats) -> None:
         """Write (n, 4, 4) poses of a frame in W."""
