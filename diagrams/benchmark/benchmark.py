@@ -30,8 +30,7 @@ from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_estimate import TrackingMode
 
-ALL = "all suites"
-"""Name of the scores over all suites."""
+ALL = "all suites"  # name of the scores over all suites
 
 
 @dataclass(frozen=True, kw_only=True)

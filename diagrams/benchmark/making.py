@@ -27,8 +27,7 @@ from sonoservo.systems.recording.zea import ZeaWriter
 FORMATS = ("nrrd", "zea")
 """Formats of the volumes: ``NAME.seq.nrrd`` with side files, and ``NAME.hdf5`` of zea."""
 
-_FORCE = 2.0
-"""Contact force in N that the planned indentation stands for."""
+_FORCE = 2.0  # contact force in N that the planned indentation stands for
 
 
 def make_volumes(

@@ -16,8 +16,7 @@ from sonoservo.systems.evaluation.reports.web_page import picture, web_page
 from sonoservo.systems.evaluation.table import Table
 from sonoservo.systems.files.writing import write_atomically, write_json
 
-_WORST = 4
-"""Number of a tracker's worst sequences that the page shows."""
+_WORST = 4  # number of a tracker's worst sequences that the page shows
 
 _CAPTION = (
     "Share of needles among estimates of a stated probability, with 95 % intervals that take the "

@@ -11,14 +11,9 @@ from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.typed_yaml import read_yaml, suggest
 from sonoservo.systems.signals.requirements import require
 
-VERSION = 1
-"""Version of the suites; another one means that scores do not compare."""
-
-SEQUENCES = 20
-"""Number of sequences in a suite."""
-
-_SALTED = 1000
-"""Distance of the seeds of one salt from those of the next."""
+VERSION = 1  # version of the suites; another one means that scores do not compare
+SEQUENCES = 20  # number of sequences in a suite
+_SALTED = 1000  # distance of the seeds of one salt from those of the next
 
 
 @dataclass(frozen=True)

@@ -43,14 +43,12 @@ except ModuleNotFoundError as error:
 ENVIRONMENT = "sonoservo/FollowNeedle-v0"
 """Name under which Gymnasium knows the environment, once this module is imported."""
 
-OBSERVATIONS = ("features", "slices", "volume")
-"""Kinds of observations."""
+OBSERVATIONS = ("features", "slices", "volume")  # kinds of observations
 
 FEATURES = ("x", "z", "theta", "v_x", "v_z", "tip_std", "probability", "tracked", "force", "age")
 """Elements of the observation ``features``, in cm, rad, cm/s, N and s."""
 
-_STOPPED = 5.0
-"""Time in s for which the guard must hold the robot before an episode ends."""
+_STOPPED = 5.0  # time in s for which the guard must hold the robot before an episode ends
 
 _LARGEST = np.array([20, 20, 1.6, 30, 30, 20, 1, 1, 60, 60], np.float32)
 

@@ -18,8 +18,7 @@ from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.ports import DiagramBuilder
 
-INSTANT = 1e-6
-"""Time in s between an event and an observation just before or after it."""
+INSTANT = 1e-6  # time in s between an event and an observation just before or after it
 
 _started_in: list[int] = []
 """Number of the process that has run a simulation, and therefore threads."""

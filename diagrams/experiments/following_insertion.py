@@ -24,8 +24,7 @@ _APPROACH, _AIM_DEPTH, _ASIDE = 0.06, 0.045, 0.04
 """By default: the tip's distance from its aim at the start, depth of the aim below the probe, and
 least distance of the entry from the middle of the probe, in m."""
 
-_SETTLING = 2.0
-"""Time from the first contact until the force has settled, in s."""
+_SETTLING = 2.0  # time from the first contact until the force has settled, in s
 
 _INDENTATION, _SHAFT = 4e-3, 0.15
 """Indentation by a landed probe at 2 N, and length of a needle outside the tissue, in m."""

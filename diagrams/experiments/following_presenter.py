@@ -25,8 +25,7 @@ from sonoservo.systems.evaluation.reports.verdict import Verdict, following_verd
 from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.needle.insertion_parameters import InsertionParameters, Push
 
-_MANY = 5
-"""Number of pushes or moves from which they are summed up instead of listed."""
+_MANY = 5  # number of pushes or moves from which they are summed up instead of listed
 
 
 class FollowingPresenter(Presenter):

@@ -23,8 +23,7 @@ from sonoservo.systems.ultrasound.simulation.reaction.tissue_reaction import (
 )
 from sonoservo.systems.ultrasound.simulation.scanner_parameters import ScannerParameters
 
-_AS_PUBLISHED = "_as_published"
-"""Ending of the kind of a published tracker."""
+_AS_PUBLISHED = "_as_published"  # ending of the kind of a published tracker
 
 _EQ_25 = {
     "gain": 0.8,

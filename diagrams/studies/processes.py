@@ -31,8 +31,7 @@ from sonoservo.systems.sampling.libraries import LINEAR_ALGEBRA
 THREADS = (*LINEAR_ALGEBRA, "OMP_NUM_THREADS", "NUMEXPR_NUM_THREADS", "NUMBA_NUM_THREADS")
 """Variables that limit the threads of a case to one."""
 
-_WATCH_PERIOD = 0.2
-"""Time in s between two looks of a process at its parent."""
+_WATCH_PERIOD = 0.2  # time in s between two looks of a process at its parent
 
 
 class Processes:

@@ -20,17 +20,13 @@ from rich.text import Text
 
 from sonoservo.diagrams.studies.study import Case, Executor, Outcome
 
-_PRIOR_S = 15.0
-"""Wall-clock time in s that a case is expected to take before any has ended."""
-
-_PRIOR_WEIGHT = 1.0
-"""Number of ended cases that the expected time counts as."""
+_PRIOR_S = 15.0  # wall-clock time in s that a case is expected to take before any has ended
+_PRIOR_WEIGHT = 1.0  # number of ended cases that the expected time counts as
 
 _PATIENCE = 1.5
 """Expected time of a case that runs, relative to the time for which no case has ended."""
 
-_PERIOD = 1.0
-"""Time in s between two updates of the bar."""
+_PERIOD = 1.0  # time in s between two updates of the bar
 
 
 class TimeLeft:

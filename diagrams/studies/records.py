@@ -14,8 +14,7 @@ from sonoservo.diagrams.studies.study import Case, Outcome
 from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
 from sonoservo.systems.files.writing import write_atomically
 
-_DIGITS = 6
-"""Significant digits of the figures that are kept."""
+_DIGITS = 6  # significant digits of the figures that are kept
 
 
 @dataclass(frozen=True)

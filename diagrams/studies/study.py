@@ -17,8 +17,7 @@ from sonoservo.systems.signals.requirements import at_least, check_bounds, requi
 CASES_PER_PROCESS = 10
 """Number of cases after which a process is replaced, as Drake leaks some 20 MB per experiment."""
 
-DIED = "its process died"
-"""Error of a case that ends its process."""
+DIED = "its process died"  # error of a case that ends its process
 
 
 @dataclass(frozen=True, kw_only=True)

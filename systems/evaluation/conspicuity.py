@@ -8,8 +8,7 @@ from sonoservo.systems.signals.volume import Volume
 
 Floats = NDArray[np.float64]
 
-STANDS_OUT_DB = 6.0
-"""Level over the tissue from which a needle stands out, in dB."""
+STANDS_OUT_DB = 6.0  # level over the tissue from which a needle stands out, in dB
 
 _STEP, _AVERAGED = 0.5e-3, 3e-3
 """Distance between samples along the needle, and length of the average that takes out speckle, in

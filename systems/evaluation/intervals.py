@@ -68,11 +68,8 @@ _FEWEST = 6
 """Number of runs below which there is no 95 % interval: the smallest and the largest of n values
 enclose their median with a probability of 1 - 2 / 2^n."""
 
-_RESAMPLES = 399
-"""Number of resamples of a bootstrap."""
-
-UNBOUNDED = Interval(-np.inf, np.inf)
-"""Interval of a figure of which too few runs tell anything."""
+_RESAMPLES = 399  # number of resamples of a bootstrap
+UNBOUNDED = Interval(-np.inf, np.inf)  # interval of a figure of which too few runs tell anything
 
 
 def run_interval(

@@ -17,8 +17,7 @@ from sonoservo.systems.files.refusals import ConfigurationError, refusing_failur
 from sonoservo.systems.files.writing import write_atomically
 from sonoservo.systems.signals.immutable import Immutable
 
-FORMAT = 3
-"""Version of the file format, stored as the array `format`."""
+FORMAT = 3  # version of the file format, stored as the array `format`
 
 Array = NDArray[Any]
 Row = dict[str, Any]
@@ -167,8 +166,7 @@ def _read(path: Path, arrays: dict[str, Array], log_class: type[LogT]) -> LogT:
     return log_class(**fields)
 
 
-_LOOSE = 256
-"""Number of rows that are kept as they came before they are packed."""
+_LOOSE = 256  # number of rows that are kept as they came before they are packed
 
 
 class LogRows:

@@ -13,33 +13,25 @@ from sonoservo.systems.signals.reconstructed_volume import ReconstructedVolume
 from sonoservo.systems.signals.volume import Volume
 from sonoservo.systems.tracking.speckle_width import speckle_spread
 
-_GAP = 1.5
-"""Time between two volumes, in periods, from which one of them is missing."""
+_GAP = 1.5  # time between two volumes, in periods, from which one of them is missing
 
 _JITTER = 0.25
 """Standard deviation of the time between two volumes, in periods, above which stamps are those of
 arrival rather than of acquisition."""
 
-_NOT_RIGID = 1e-2
-"""Deviation of a matrix from a rotation that rounding to two decimals explains."""
-
-_STILL_MM, _STILL_DEG = 0.02, 0.01
-"""Spread of poses of a tracker that measures: none is quieter."""
+_NOT_RIGID = 1e-2  # deviation of a matrix from a rotation that rounding to two decimals explains
+_STILL_MM, _STILL_DEG = 0.02, 0.01  # spread of poses of a tracker that measures: none is quieter
 
 _REPEATED = 0.2
 """Share of poses that repeat the one before to the last digit, above which a tracker is slower."""
 
-_FASTEST = 1.0
-"""Highest speed in m/s at which a hand or a robot moves a probe."""
+_FASTEST = 1.0  # highest speed in m/s at which a hand or a robot moves a probe
 
 _AXIAL_MM, _ACROSS_MM = (0.05, 3.0), (0.15, 12.0)
 """Widths of speckle along and across the sound, of probes from 2 to 20 MHz."""
 
-_OTHER_AXIS = 1.4
-"""Ratio of speckle widths from which the narrower axis is taken for the sound's."""
-
-_LATE = 15e-3
-"""Delay of poses in s that shows: a probe at 30 mm/s moves half a millimetre."""
+_OTHER_AXIS = 1.4  # ratio of speckle widths from which the narrower axis is taken for the sound's
+_LATE = 15e-3  # delay of poses in s that shows: a probe at 30 mm/s moves half a millimetre
 
 _DISPLACED, _TURNED_DEG = 2e-3, 2.0
 """Error of a calibration, in m and deg, that shows in a needle's place."""

@@ -14,17 +14,13 @@ from sonoservo.systems.evaluation.run_errors import Floats, at_times, in_frame
 from sonoservo.systems.evaluation.run_log import RunLog, unit
 from sonoservo.systems.signals.needle_estimate import TrackingMode
 
-ENOUGH_MM = 10.0
-"""Length of the needle to be seen in a volume from which the volume counts, in mm."""
+ENOUGH_MM = 10.0  # length of the needle to be seen in a volume from which the volume counts, in mm
 
 FOUND_MM, FOUND_DEG = 5.0, 5.0
 """Errors of tip and axis within which a tracked needle is the right one."""
 
-KEPT = 0.95
-"""Share of the volumes after the detection in which a kept needle is the right one."""
-
-SUCCESS_MM, SUCCESS_DEG = 2.0, 2.0
-"""Median errors of tip and axis of a success."""
+KEPT = 0.95  # share of the volumes after the detection in which a kept needle is the right one
+SUCCESS_MM, SUCCESS_DEG = 2.0, 2.0  # median errors of tip and axis of a success
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,8 +17,7 @@ class Code(str):
     """Text of a cell that is a name in a program or a file."""
 
 
-Cell = Any
-"""Text, `Strong` or `Code`, a number or a boolean, or None if there is nothing to tell."""
+Cell = Any  # text, `Strong` or `Code`, a number or a boolean, or None if there is nothing to tell
 
 
 def cell_text(value: Cell, missing: str = "–") -> str:

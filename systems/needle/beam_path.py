@@ -25,11 +25,8 @@ from sonoservo.systems.signals.immutable import Immutable, seal
 
 Floats = NDArray[np.float64]
 
-FREE_LENGTH = 0.01
-"""Length of the needle in m between the template's clamp and the tissue."""
-
-_JUDGED = 0.1
-"""Length of the needle in m by whose deflection its radius is told."""
+FREE_LENGTH = 0.01  # length of the needle in m between the template's clamp and the tissue
+_JUDGED = 0.1  # length of the needle in m by whose deflection its radius is told
 
 _STEP = 1e-3
 """Length in m by which the needle advances at a time, and between the nodes of the beam."""
@@ -37,8 +34,7 @@ _STEP = 1e-3
 STIFFNESS = 0.02
 """Bending stiffness EI of an 18 G needle of steel, in N m^2: 200 GPa and a wall of 0.2 mm."""
 
-FOUNDATION = 2e4
-"""Stiffness k of the tissue around it in N/m^2: some 20 kPa, as of muscle."""
+FOUNDATION = 2e4  # stiffness k of the tissue around it in N/m^2: some 20 kPa, as of muscle
 
 YIELD_LENGTH = 0.1
 """Advance in m in which the shaft cuts sideways through 1 - 1/e of what holds it; chosen."""

@@ -28,8 +28,7 @@ _TRACK_STEP, _SHORTEST_TRACK = 0.05, 1e-3
 _SPACING = 2e-3
 """Largest distance in m between points on a bent shaft; 3 um off an arc of 150 mm radius."""
 
-_FEED_SPACING = 0.5e-3
-"""The same distance behind a template; 0.1 um off an arc of 0.5 m radius."""
+_FEED_SPACING = 0.5e-3  # the same distance behind a template; 0.1 um off an arc of 0.5 m radius
 
 _SWING_DEPTH, _SWING_ANGLE, _SWING_RATE = 20e-3, 45.0, 30.0
 """Largest inserted length in m at which a straight needle is re-directed, about its entry, by at

@@ -14,11 +14,8 @@ Floats = NDArray[np.float64]
 _TURN_STEP = 1 / 64
 """Time in s between the sampled angles of a turning bevel, which are 1.4 deg apart at 90 deg/s."""
 
-_REST = 1e-12
-"""Largest step of the needle in m that counts as rest, as rounding can cause it."""
-
-_TREMOR_BAND = (8.0, 12.0)
-"""Frequencies of physiological hand tremor in Hz (Elble and Koller 1990)."""
+_REST = 1e-12  # largest step of the needle in m that counts as rest, as rounding can cause it
+_TREMOR_BAND = (8.0, 12.0)  # frequencies of physiological hand tremor in Hz (Elble and Koller 1990)
 
 
 class NeedleMotion(Protocol):

@@ -24,8 +24,7 @@ Floats = NDArray[np.float64]
 Arcs = tuple[Floats, Floats, Floats]
 """Lengths in m, angles of the bevel in rad and curvatures in 1/m of the arcs."""
 
-WANDER_STEP = 0.5e-3
-"""Path length in m over which a wandering curvature is constant."""
+WANDER_STEP = 0.5e-3  # path length in m over which a wandering curvature is constant
 
 
 def cut_arcs(depths: Floats, turns: Floats) -> tuple[Floats, Floats]:

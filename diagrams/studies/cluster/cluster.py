@@ -15,8 +15,7 @@ from sonoservo.diagrams.studies.store import Store
 from sonoservo.diagrams.studies.study import DIED, Case, Finished, Outcome, Work
 from sonoservo.systems.files.refusals import ConfigurationError, shorten
 
-_LOOK_S = 1.0
-"""Time in s between two looks at which workers there are."""
+_LOOK_S = 1.0  # time in s between two looks at which workers there are
 
 
 class Cluster:

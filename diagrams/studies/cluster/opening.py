@@ -11,8 +11,7 @@ from sonoservo.systems.files.refusals import ConfigurationError, describe
 if TYPE_CHECKING:
     from sonoservo.diagrams.studies.cluster.cluster import Cluster
 
-CASE_LIMIT_S = 3600.0
-"""Longest time in s that a case may take, unless another one is given."""
+CASE_LIMIT_S = 3600.0  # longest time in s that a case may take, unless another one is given
 
 _LOCAL = "local:"
 _CONNECT_S = 15.0

@@ -21,11 +21,8 @@ from sonoservo.systems.files.typed_yaml import suggest
 from sonoservo.systems.files.writing import to_json, write_json
 from sonoservo.systems.ultrasound.transducer import load_transducer
 
-MANIFEST = "manifest.json"
-"""Name of the list of all sequences in a store."""
-
-_MOST = 1_000_000
-"""Largest number of sequences, or of volumes in one."""
+MANIFEST = "manifest.json"  # name of the list of all sequences in a store
+_MOST = 1_000_000  # largest number of sequences, or of volumes in one
 
 _SEQUENCE = re.compile(r"sequence_\d+")
 

@@ -33,8 +33,7 @@ _SEEN = (
 
 _DIP, _SPEED = "hand.dip_deg", "hand.pushes.0.speed"
 
-_WEAKEST = 0.1
-"""Smallest strength of a dial that is on."""
+_WEAKEST = 0.1  # smallest strength of a dial that is on
 
 
 @dataclass(frozen=True)
@@ -74,11 +73,8 @@ def draw_dials(rng: np.random.Generator) -> DrawnDials:
     return DrawnDials(strengths, tuple(changes), limits[_DIP], limits[_SPEED])
 
 
-_OUTSIDE = 15e-3
-"""Length of needle in the tissue before it enters the field of view, in m."""
-
-_INDENTATION = 4e-3
-"""Indentation of the phantom by the probe, in m."""
+_OUTSIDE = 15e-3  # length of needle in the tissue before it enters the field of view, in m
+_INDENTATION = 4e-3  # indentation of the phantom by the probe, in m
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,7 @@ from sonoservo.systems.recording.recording_writer import RecordingWriter
 from sonoservo.systems.recording.zea import ZeaWriter
 from sonoservo.systems.signals.volume import Volume
 
-Labelled = tuple[Volume, NDArray[np.bool_]]
-"""A volume and the mask of the needle in it."""
+Labelled = tuple[Volume, NDArray[np.bool_]]  # a volume and the mask of the needle in it
 
 _FOLDS = 5
 

@@ -32,11 +32,8 @@ from sonoservo.systems.signals.volume import Volume
 from sonoservo.systems.ultrasound.scan_conversion import ScanConversion, make_grid
 from sonoservo.systems.ultrasound.simulation.reaction.deformation import Deformation
 
-FORMAT = 2
-"""Format version of manifest.json and of the labels."""
-
-_FIRST_VOLUME = 1.1
-"""Start of the first volume in s, after the push that no volume shows."""
+FORMAT = 2  # format version of manifest.json and of the labels
+_FIRST_VOLUME = 1.1  # start of the first volume in s, after the push that no volume shows
 
 
 @cache
@@ -135,8 +132,7 @@ class _Scene:
         return volume, needle
 
 
-_SPACING = 2e-3
-"""Largest distance between points of a needle that the tissue bends, in m."""
+_SPACING = 2e-3  # largest distance between points of a needle that the tissue bends, in m
 
 
 def needle_as_acquired(volume: Volume, insertion: Insertion) -> Needle:

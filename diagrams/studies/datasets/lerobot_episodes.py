@@ -27,8 +27,7 @@ from sonoservo.systems.recording.extras import require_extra
 from sonoservo.systems.signals.needle_estimate import TrackingMode
 from sonoservo.systems.signals.volume import Volume
 
-VERSION = "v3.0"
-"""Version of the layout."""
+VERSION = "v3.0"  # version of the layout
 
 TASK = "Follow the needle with the ultrasound probe and press with the wanted force"
 

@@ -28,14 +28,12 @@ from sonoservo.systems.signals.sweep import SweepGeometry
 
 Floats = NDArray[np.float64]
 
-ENOUGH_IN_VIEW = 20e-3
-"""Length of needle in the image from which on errors count, in m."""
+ENOUGH_IN_VIEW = 20e-3  # length of needle in the image from which on errors count, in m
 
 _NOT_TO_BE_LOST = 15e-3
 """Length in the image above which a needle counts as lost while the tracker searches, in m."""
 
-_OUT_OF_VIEW = 2e-3
-"""Length in the image below which one insertion ends and the next begins, in m."""
+_OUT_OF_VIEW = 2e-3  # length in the image below which one insertion ends and the next begins, in m
 
 _RIGHT_PLACE = 10e-3
 """Distance from the estimated to the true tip within which a needle counts as found, in m."""
@@ -43,11 +41,8 @@ _RIGHT_PLACE = 10e-3
 _CENTRED = np.array([2e-3, 2e-3, np.deg2rad(2)])
 """Errors of X, Z and Theta below which the needle is centred again, in m and rad."""
 
-_STAYS = 0.5
-"""Time in s for which it must stay centred."""
-
-_LAG_TIME = 2.0
-"""Time in s before the end of a push over which the fully developed lag is measured."""
+_STAYS = 0.5  # time in s for which it must stay centred
+_LAG_TIME = 2.0  # time in s before the end of a push over which the fully developed lag is measured
 
 
 class Run:

@@ -7,8 +7,7 @@ from sonoservo.systems.evaluation.log import encode_log
 from sonoservo.systems.ultrasound.imaging import sweep_geometry
 from sonoservo.systems.ultrasound.transducer import load_transducer
 
-AS_PUBLISHED = ", as published"
-"""Ending of the name of an experiment with the published method."""
+AS_PUBLISHED = ", as published"  # ending of the name of an experiment with the published method
 
 
 def run_case(case: Case) -> WithFiles:

@@ -15,8 +15,7 @@ from sonoservo.systems.robot.phantom_motion import phantom_trajectory
 from sonoservo.systems.signals.body_surface import BodySurface
 from sonoservo.systems.ultrasound.simulation.tissue import load_tissue
 
-_INDENTATION = 4e-3
-"""Indentation of the phantom by the probe, in m, as with a force of 2 N."""
+_INDENTATION = 4e-3  # indentation of the phantom by the probe, in m, as with a force of 2 N
 
 _APPROACH = 3.0
 """Time in s in which the probe comes over the needle's tip and turns to its direction."""

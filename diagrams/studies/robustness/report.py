@@ -26,8 +26,7 @@ from sonoservo.systems.evaluation.success import (
     SUCCESS_MM,
 )
 
-Groups = Mapping[str, Mapping[str, Group]]
-"""Runs by experiment and kind of the tracker."""
+Groups = Mapping[str, Mapping[str, Group]]  # runs by experiment and kind of the tracker
 
 _ERRORS: Sequence[tuple[str, str, Callable[[Group], Value]]] = (
     ("found", "%", lambda group: group.share(lambda run: run.found)),
@@ -129,8 +128,7 @@ def group_outcomes(outcomes: Sequence[Outcome]) -> dict[str, dict[str, Group]]:
     }
 
 
-Curve = list[tuple[float, Mapping[str, Group]]]
-"""Strength and runs by tracker, the weakest first."""
+Curve = list[tuple[float, Mapping[str, Group]]]  # strength and runs by tracker, the weakest first
 
 
 def dial_curves(outcomes: Sequence[Outcome]) -> dict[str, Curve]:

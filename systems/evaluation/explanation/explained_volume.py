@@ -23,8 +23,7 @@ from sonoservo.systems.signals.planes import sample_plane, slice_planes
 from sonoservo.systems.signals.sweep import SweepGeometry, SweepMotion
 from sonoservo.systems.signals.volume import Volume
 
-_PIXEL = 0.5e-3
-"""Distance between the pixels of the slices, in m."""
+_PIXEL = 0.5e-3  # distance between the pixels of the slices, in m
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -233,8 +232,7 @@ def _search(explanation: LocalizationExplanation) -> dict[str, Any]:
     return arrays
 
 
-FOLDER = "explanation"
-"""Name of the subfolder of the explained volumes."""
+FOLDER = "explanation"  # name of the subfolder of the explained volumes
 
 _FILES = "*s.npz"
 
@@ -258,8 +256,7 @@ def clear_explanations(run: Path) -> None:
         (run / FOLDER).rmdir()
 
 
-_POINTS_EACH = 4
-"""Number of segments between neighbouring points of the log."""
+_POINTS_EACH = 4  # number of segments between neighbouring points of the log
 
 
 def imaged_needle(log: RunLog, explained: ExplainedVolume) -> Array:

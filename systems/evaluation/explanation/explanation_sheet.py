@@ -21,8 +21,7 @@ _QUIET = "0.45"
 _ACROSS = {"beam": "along", "cross": "across"}
 _SIDE = {"beam": "lateral", "cross": "elevation"}
 _OTHER = {"beam": "elevation", "cross": "lateral"}
-_MARGIN = 8.0
-"""Margin in mm around the lines drawn in a slice."""
+_MARGIN = 8.0  # margin in mm around the lines drawn in a slice
 
 
 def plot_explanation(

@@ -18,8 +18,7 @@ Floats = NDArray[np.float64]
 ESTIMATE, TRUTH = "#E69F00", "#56B4E9"
 """Colours of the estimated and of the true needle on a picture."""
 
-_BLACK = 12
-"""Grey level up to which a pixel is outside the sector; JPEG leaves some grey there."""
+_BLACK = 12  # grey level up to which a pixel is outside the sector; JPEG leaves some grey there
 
 VIEWS = ("along needle and beam", "along the needle, across the beam")
 """Names of a volume's two slices."""

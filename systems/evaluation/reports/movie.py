@@ -30,14 +30,9 @@ from sonoservo.systems.files.writing import write_atomically
 
 Frame = NDArray[np.uint8]
 
-FORMATS = (".gif", ".mp4")
-"""Suffixes of movies."""
-
-_GREYS = 48
-"""Number of greys of a GIF; few colours keep it small."""
-
-_HUES = (BLUE, ORANGE, GREEN, ESTIMATE, TRUTH)
-"""Colours of a GIF besides the greys."""
+FORMATS = (".gif", ".mp4")  # suffixes of movies
+_GREYS = 48  # number of greys of a GIF; few colours keep it small
+_HUES = (BLUE, ORANGE, GREEN, ESTIMATE, TRUTH)  # colours of a GIF besides the greys
 
 
 def check_movie(path: Path) -> None:

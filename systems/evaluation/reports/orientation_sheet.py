@@ -8,15 +8,13 @@ from pydrake.math import RotationMatrix
 from sonoservo.systems.signals.volume import Volume
 
 _NAMES = ("X, along the array", "Y, along the sound", "Z, from frame to frame")
-_VIEWS = ((0, 1), (2, 1), (0, 2))
-"""Axes of P that run to the right and downwards in each picture."""
+_VIEWS = ((0, 1), (2, 1), (0, 2))  # axes of P that run to the right and downwards in each picture
 
 _BODY = (("up (S)", (0, 0, 1)), ("left (L)", (1, 0, 0)), ("back (P)", (0, 1, 0)))
 """Directions of the body in LPS."""
 
 _INK = "#FFB000"
-_IN_PLANE = 0.6
-"""Part of a direction that lies in a picture, from which it is drawn there."""
+_IN_PLANE = 0.6  # part of a direction that lies in a picture, from which it is drawn there
 
 
 def orientation_sheet(volume: Volume, R_LP: RotationMatrix, *, caption: str = "") -> Figure:

@@ -15,8 +15,7 @@ from sonoservo.systems.files.writing import write_atomically
 from sonoservo.systems.signals.needle_estimate import TrackingMode
 
 _FORMAT = 1
-_POINTS = 21
-"""Number of points of a needle in a picture."""
+_POINTS = 21  # number of points of a needle in a picture
 
 
 def write_pictures(path: str | Path, pictures: Sequence[VolumePictures]) -> Path:

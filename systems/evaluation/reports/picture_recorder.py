@@ -10,8 +10,7 @@ from sonoservo.systems.signals.ports import declare_inputs, evaluate
 from sonoservo.systems.signals.requirements import require_not_negative, require_positive
 from sonoservo.systems.signals.volume import Volume
 
-_MOST = 400
-"""Number of pictures above which every second one is dropped."""
+_MOST = 400  # number of pictures above which every second one is dropped
 
 
 class PictureRecorder(LeafSystem):

@@ -16,8 +16,7 @@ from sonoservo.systems.signals.volume import Volume
 
 Floats = NDArray[np.float64]
 
-_PIXEL = 0.5e-3
-"""Pixel size of a picture, in m."""
+_PIXEL = 0.5e-3  # pixel size of a picture, in m
 
 _NEEDLE = "#D55E00"
 _COLOURS = ("#0072B2", "#CC79A7", "#009E73")

@@ -25,8 +25,7 @@ _ACTS = {
     RunOutcome.INACCURATE: "found and kept, but not accurately",
 }
 
-_SHOWN = 0.5
-"""Time in s from which on it is told that something else was taken for the needle."""
+_SHOWN = 0.5  # time in s from which on it is told that something else was taken for the needle
 
 
 def following_verdict(summary: Mapping[str, Any], *, follows: bool = True) -> Verdict:

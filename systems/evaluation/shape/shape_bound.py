@@ -11,8 +11,7 @@ from sonoservo.systems.signals.curvature_wander import wander_modes
 
 Floats = NDArray[np.float64]
 
-_WIDE = 0.1
-"""Standard deviation in m of the unknown origin, which leaves it free."""
+_WIDE = 0.1  # standard deviation in m of the unknown origin, which leaves it free
 
 
 @dataclass(frozen=True, kw_only=True)

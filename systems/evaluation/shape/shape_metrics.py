@@ -16,8 +16,7 @@ from sonoservo.systems.signals.needle_shape import NeedleShape
 
 Floats = NDArray[np.float64]
 
-OFF_NEEDLE = 2e-3
-"""Distance from the needle beyond which a cross-section has drifted off it, in m."""
+OFF_NEEDLE = 2e-3  # distance from the needle beyond which a cross-section has drifted off it, in m
 
 LABELS = {
     "tracking.slices": "slices",

@@ -23,8 +23,7 @@ from sonoservo.systems.signals.needle_shape import NeedleShape
 
 Floats = NDArray[np.float64]
 
-_HALF = 10e-3
-"""Half of a picture's width and height, in m."""
+_HALF = 10e-3  # half of a picture's width and height, in m
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,8 +20,7 @@ from sonoservo.systems.evaluation.viewer_logs.viewer_log import (
 from sonoservo.systems.recording.extras import require_extra
 from sonoservo.systems.signals.volume import Volume
 
-WORLD, PROBE = "world", "probe"
-"""Names of the frames W and P."""
+WORLD, PROBE = "world", "probe"  # names of the frames W and P
 
 
 class McapLog:

@@ -16,8 +16,7 @@ from sonoservo.systems.evaluation.viewer_logs.viewer_log import (
 from sonoservo.systems.recording.extras import require_extra
 from sonoservo.systems.signals.volume import Volume
 
-TIMELINE = "time"
-"""Name of the time line, in s of the simulation."""
+TIMELINE = "time"  # name of the time line, in s of the simulation
 
 
 class RerunLog:

@@ -23,8 +23,7 @@ _TRUE: Colour = (0, 114, 178)
 _ESTIMATED: Colour = (230, 159, 0)
 _QUIET: Colour = (150, 150, 150)
 
-_PIXEL = 0.5e-3
-"""Pixel size of the slices, in m."""
+_PIXEL = 0.5e-3  # pixel size of the slices, in m
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,8 +10,7 @@ from sonoservo.systems.signals.volume import Volume
 
 Floats = NDArray[np.float64]
 
-Colour = tuple[int, int, int]
-"""Red, green and blue from 0 to 255."""
+Colour = tuple[int, int, int]  # red, green and blue from 0 to 255
 
 
 class ViewerLog(Protocol):
