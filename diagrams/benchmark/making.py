@@ -12,8 +12,7 @@ import numpy as np
 
 from sonoservo.diagrams.benchmark.benchmark import BenchmarkOptions
 from sonoservo.diagrams.benchmark.entrants import sequence_name
-from sonoservo.diagrams.benchmark.sequence import Sequence, acquire_sequence
-from sonoservo.diagrams.benchmark.suites import VERSION, load_suites
+from sonoservo.diagrams.benchmark.sequence import VERSION, Sequence, acquire_sequence, load_suites
 from sonoservo.diagrams.studies.fingerprint import made_with
 from sonoservo.diagrams.studies.runs import run_cases
 from sonoservo.diagrams.studies.store import Store, absolute

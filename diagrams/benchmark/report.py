@@ -10,9 +10,9 @@ from matplotlib.figure import Figure
 from sonoservo.diagrams.benchmark.benchmark import ALL, BenchmarkResult
 from sonoservo.diagrams.benchmark.entrants import sequence_name
 from sonoservo.diagrams.benchmark.scores import FIGURES
-from sonoservo.diagrams.benchmark.suites import load_suites
+from sonoservo.diagrams.benchmark.sequence import load_suites
 from sonoservo.systems.evaluation.reports.plots import png
-from sonoservo.systems.evaluation.reports.web_page import picture, web_page
+from sonoservo.systems.evaluation.reports.report import picture, web_page
 from sonoservo.systems.evaluation.table import Table
 from sonoservo.systems.files.writing import write_atomically, write_json
 

@@ -10,13 +10,20 @@ from pydrake.systems.framework import Context
 
 from sonoservo.diagrams.dials import load_dials
 from sonoservo.diagrams.environment.commanded_velocity import CommandedVelocity
-from sonoservo.diagrams.environment.commands import ActionScale, MakeCommandedSettings
-from sonoservo.diagrams.environment.reward import RewardParameters, reward_terms
+from sonoservo.diagrams.environment.reward import (
+    ActionScale,
+    MakeCommandedSettings,
+    RewardParameters,
+    reward_terms,
+)
 from sonoservo.diagrams.experiments.experiment import INSTANT
 from sonoservo.diagrams.experiments.following import FollowingExperiment
-from sonoservo.diagrams.experiments.following_insertion import make_insertion
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
-from sonoservo.diagrams.experiments.following_scene import planned_sources, tracker_events
+from sonoservo.diagrams.experiments.following_scene import (
+    make_insertion,
+    planned_sources,
+    tracker_events,
+)
 from sonoservo.diagrams.experiments.registry import load_scenario
 from sonoservo.diagrams.scenario import require_scenario
 from sonoservo.systems.control.visual_features import needle_features

@@ -9,9 +9,9 @@ from pydrake.geometry import Meshcat
 from pydrake.systems.framework import System
 
 from sonoservo.diagrams.experiments.experiment import Experiment
-from sonoservo.diagrams.experiments.following_insertion import check_followed
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
 from sonoservo.diagrams.experiments.following_scene import (
+    check_followed,
     imaging_systems,
     make_scene,
     observer_events,

@@ -22,7 +22,7 @@ from sonoservo.systems.display.console.shape_feed import ShapeFeed
 from sonoservo.systems.display.world.shape_view import ShapeView
 from sonoservo.systems.evaluation.log import Row
 from sonoservo.systems.evaluation.shape.shape_metrics import ShapeLog, summarize_shape
-from sonoservo.systems.evaluation.shape.shape_pictures import (
+from sonoservo.systems.evaluation.shape.shape_plots import (
     SlicePicture,
     picture_slice,
 )

@@ -17,7 +17,7 @@ from sonoservo.diagrams.studies.records import present_commit
 from sonoservo.diagrams.studies.study import Outcome
 from sonoservo.systems.evaluation.intervals import proportion_interval
 from sonoservo.systems.evaluation.reports.plots import png
-from sonoservo.systems.evaluation.reports.web_page import web_page
+from sonoservo.systems.evaluation.reports.report import web_page
 from sonoservo.systems.evaluation.table import Strong, Table, cell_text
 from sonoservo.systems.files.writing import write_atomically, write_json
 

@@ -1,5 +1,6 @@
 """Errors of a run over time, against ground truth."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -89,51 +90,74 @@ def normalized_squared_errors(errors: Floats, covariances: Floats) -> Floats:
     return result
 
 
-def consistency(log: RunLog, judged: Mask) -> dict[str, dict[str, float | None]]:
-    """Compare the errors of tip, axis and velocity with the uncertainty that was stated.
+def stated_errors(log: RunLog, *, across_depth: bool = False) -> Mapping[str, tuple[Floats, int]]:
+    """Return (v,) squared errors of tip, axis and velocity, relative to what is stated of them.
 
-    Parameters
-    ----------
-    log
-        Log of the run.
-    judged
-        (v,) mask of the volumes that count, if they have an estimate.
-
-    Returns
-    -------
-    `tip`, `axis`, `velocity`: each with `nees`, the median of the normalised estimation error
-    squared over that of the chi-squared distribution (1 if the uncertainty is right, more if it is
-    stated too small), and `within_95`, the share of truths inside the stated 95 %. No uncertainty
-    holds an axis that points backwards.
+    Each has its degrees of freedom. They are NaN where nothing is stated, and infinite for an axis
+    that points backwards. ``across_depth`` leaves out the errors along the depth.
     """
     time = log.volume_estimate_time
     tip, before, after = (
         at_times(log, log.needle_tip, time + shift) for shift in (0, -_WINDOW / 2, _WINDOW / 2)
     )
-    estimated = unit(log.volume_estimate_tip - log.volume_estimate_entry)
-    velocity = (after - before) / _WINDOW
-    direction = _true_direction(log)
-    compared = {
-        "tip": (log.volume_estimate_tip - tip, log.volume_estimate_tip_covariance, 3),
-        "axis": (estimated - direction, log.volume_estimate_direction_covariance, 2),
-        "velocity": (
-            log.volume_estimate_velocity - velocity, log.volume_estimate_velocity_covariance, 3
-        ),
+    # For the parts that count, a projection on them and their number.
+    across, number = np.broadcast_to(np.eye(3), (len(time), 3, 3)), 3
+    if across_depth:
+        across, number = across - _outer(at_times(log, log.X_WP, time)[:, :3, 1]), 2
+    needle = log.volume_estimate_tip - log.volume_estimate_entry
+    true, estimated = (_projected(across, each) for each in (_true_direction(log), needle))
+    # The direction turns in a plane across it, and in a projection further than in space.
+    length = np.linalg.norm(estimated, axis=1) / np.linalg.norm(needle, axis=1)
+    turn = length[:, np.newaxis] * (unit(estimated) - unit(true))
+    aside = across - _outer(unit(estimated))
+    velocity = log.volume_estimate_velocity - (after - before) / _WINDOW
+
+    def squared(errors: Floats, covariances: Floats, projections: Floats = across) -> Floats:
+        projected = projections @ covariances @ projections
+        return normalized_squared_errors(_projected(projections, errors), projected)
+
+    axis = squared(turn, log.volume_estimate_direction_covariance, aside)
+    axis[(np.sum(estimated * true, axis=1) < 0) & ~np.isnan(axis)] = np.inf
+    missed = log.volume_estimate_tip - tip
+    return {
+        "tip": (squared(missed, log.volume_estimate_tip_covariance), number),
+        "axis": (axis, number - 1),
+        "velocity": (squared(velocity, log.volume_estimate_velocity_covariance), number),
+    }
+
+
+def inside_stated(log: RunLog, *, across_depth: bool = False) -> dict[str, list[bool | None]]:
+    """Return for each volume whether the truth lies inside the stated 95 %; None if not stated."""
+    return {
+        name: [None if np.isnan(each) else bool(each <= squared_distance(0.95, freedom))
+               for each in squared]
+        for name, (squared, freedom) in stated_errors(log, across_depth=across_depth).items()
     }  # fmt: skip
+
+
+def consistency(log: RunLog, judged: Mask) -> dict[str, dict[str, float | None]]:
+    """Compare the errors of tip, axis and velocity in judged volumes with what is stated of them.
+
+    Returns `nees`, the median squared error over that of the chi-squared distribution (more than 1
+    if the uncertainty is stated too small), and `within_95`, the share inside the stated 95 %.
+    """
     figures: dict[str, dict[str, float | None]] = {}
-    for name, (errors, covariances, freedom) in compared.items():
-        squared = normalized_squared_errors(errors[judged], covariances[judged])
-        if name == "axis":
-            # The covariance of a direction has no part along it, where turning round leads.
-            backwards = np.sum(estimated * direction, axis=1)[judged] < 0
-            squared[backwards & ~np.isnan(squared)] = np.inf
-        squared = squared[~np.isnan(squared)]
+    for name, (every, freedom) in stated_errors(log).items():
+        squared = every[judged & ~np.isnan(every)]
         figures[name] = {"nees": None, "within_95": None}
         if len(squared):
             within = squared <= squared_distance(0.95, freedom)
             nees = float(np.median(squared) / squared_distance(0.5, freedom))
             figures[name] = {"nees": nees, "within_95": float(within.mean())}
     return figures
+
+
+def _outer(directions: Floats) -> Floats:
+    return directions[:, :, np.newaxis] * directions[:, np.newaxis, :]
+
+
+def _projected(projections: Floats, vectors: Floats) -> Floats:
+    return np.asarray(np.einsum("nij,nj->ni", projections, vectors))
 
 
 def _true_direction(log: RunLog) -> Floats:

@@ -11,8 +11,12 @@ from rich.console import Console
 
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
 from sonoservo.diagrams.scenario import Scenario, require_scenario
-from sonoservo.diagrams.studies.datasets.dataset_layouts import LAYOUTS, nnunet_files
-from sonoservo.diagrams.studies.datasets.dataset_sequence import FORMAT, make_sequence
+from sonoservo.diagrams.studies.datasets.dataset_sequence import (
+    FORMAT,
+    LAYOUTS,
+    make_sequence,
+    nnunet_files,
+)
 from sonoservo.diagrams.studies.runs import run_cases
 from sonoservo.diagrams.studies.store import Store, absolute
 from sonoservo.diagrams.studies.study import Case, Executor, Outcome

@@ -9,11 +9,12 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from sonoservo.diagrams.experiments.following import FollowingExperiment
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
 from sonoservo.diagrams.experiments.registry import load_scenario
 from sonoservo.diagrams.scenario import require_scenario
-from sonoservo.diagrams.studies.study import Case, Outcome
-from sonoservo.systems.evaluation.log import read_log
+from sonoservo.diagrams.studies.study import Case, Outcome, WithFiles
+from sonoservo.systems.evaluation.log import encode_log, read_log
 from sonoservo.systems.evaluation.metrics import at_rest
 from sonoservo.systems.evaluation.run_errors import (
     at_times,
@@ -25,6 +26,8 @@ from sonoservo.systems.evaluation.run_errors import (
 from sonoservo.systems.evaluation.run_log import RunLog, unit
 from sonoservo.systems.signals.needle_estimate import TrackingMode
 from sonoservo.systems.signals.sweep import SweepGeometry
+from sonoservo.systems.ultrasound.imaging import sweep_geometry
+from sonoservo.systems.ultrasound.transducer import load_transducer
 
 Floats = NDArray[np.float64]
 
@@ -302,3 +305,16 @@ def lag(log: RunLog, scenario: FollowingScenario) -> float:
         return float("nan")
     x = features(log.X_WP, log.needle_tip, log.needle_entry)[during, 0]
     return float(np.abs(x).mean())
+
+
+AS_PUBLISHED = ", as published"  # ending of the name of an experiment with the published method
+
+
+def run_case(case: Case) -> WithFiles:
+    """Run a case's scenario; return summary and `describe_run`, and the log as a file."""
+    experiment = FollowingExperiment(load_case(case))
+    experiment.run()
+    log, scenario = experiment.log(), experiment.scenario
+    geometry = sweep_geometry(load_transducer(scenario.probe), scenario.imaging)
+    result = {"summary": experiment.summarize(log), **describe_run(log, scenario, geometry)}
+    return WithFiles(result, {f"{case.name}.npz": encode_log(log)})

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.diagrams.studies.following.analysis import Run, Volumes, pooled_runs
-from sonoservo.diagrams.studies.following.cases import AS_PUBLISHED
+from sonoservo.diagrams.studies.following.analysis import AS_PUBLISHED, Run, Volumes, pooled_runs
 from sonoservo.diagrams.studies.run_group import RunGroup, Value, pooled, quantile_of
 from sonoservo.diagrams.studies.study import Outcome
 from sonoservo.diagrams.studies.study_report import StudyRow, can_be_judged
@@ -125,11 +124,8 @@ def _at_rest(method: MethodRuns, feature: int, factor: float, every: bool = Fals
 
     figures = partial(error, estimated=False), partial(error, estimated=True)
     if every:
-        return method.median(*figures)
+        return method.mean(*figures, np.median)
     return method.those(lambda run: run.converged()).mean(*figures)
-
-
-_MM, _DEG = 1e3, float(np.rad2deg(1))
 
 
 def add_tracking_rows(group: Comparison) -> None:

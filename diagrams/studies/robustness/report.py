@@ -16,12 +16,12 @@ from sonoservo.diagrams.studies.robustness.runs import OURS, PUBLISHED, TRACKERS
 from sonoservo.diagrams.studies.run_group import Value
 from sonoservo.diagrams.studies.study import Outcome
 from sonoservo.diagrams.studies.study_report import Study, StudyRow
-from sonoservo.systems.evaluation.conspicuity import STANDS_OUT_DB
 from sonoservo.systems.evaluation.success import (
     ENOUGH_MM,
     FOUND_DEG,
     FOUND_MM,
     KEPT,
+    STANDS_OUT_DB,
     SUCCESS_DEG,
     SUCCESS_MM,
 )

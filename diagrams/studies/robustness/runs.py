@@ -11,16 +11,14 @@ from sonoservo.diagrams.experiments.following import FollowingExperiment
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
 from sonoservo.diagrams.experiments.following_scene import make_scene, observer_events
 from sonoservo.diagrams.studies.robustness.graded_dials import scenario_of
-from sonoservo.diagrams.studies.robustness.open_loop import make_bench, run_open_loop
+from sonoservo.diagrams.studies.robustness.planned_motion import make_bench, run_open_loop
 from sonoservo.diagrams.studies.robustness.search_path import SearchPath
-from sonoservo.diagrams.studies.robustness.stated_doubt import inside_stated
 from sonoservo.diagrams.studies.study import Case
 from sonoservo.diagrams.tracker_bench import log_of
-from sonoservo.systems.evaluation.conspicuity import conspicuous_length
 from sonoservo.systems.evaluation.metrics import MetricsParameters, detection
-from sonoservo.systems.evaluation.run_errors import at_times, in_frame
+from sonoservo.systems.evaluation.run_errors import at_times, in_frame, inside_stated
 from sonoservo.systems.evaluation.run_log import RunLog
-from sonoservo.systems.evaluation.success import judged_errors
+from sonoservo.systems.evaluation.success import conspicuous_length, judged_errors
 from sonoservo.systems.recording.volume_collector import VolumeCollector
 from sonoservo.systems.signals.acquisition import acquired_from
 from sonoservo.systems.signals.needle_estimate import TrackingMode

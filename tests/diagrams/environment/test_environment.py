@@ -9,9 +9,8 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from pydrake.math import RigidTransform
 
-from sonoservo.diagrams.environment.commands import ActionScale
 from sonoservo.diagrams.environment.follow_needle import ENVIRONMENT
-from sonoservo.diagrams.environment.reward import RewardParameters, reward_terms
+from sonoservo.diagrams.environment.reward import ActionScale, RewardParameters, reward_terms
 from sonoservo.systems.files.refusals import ConfigurationError
 
 CHANGES = (
