@@ -124,6 +124,16 @@ def test_a_wrong_argument_is_refused():
         make(observation="pixels")
 
 
+def test_gymnasium_finds_it_by_the_room_s_name():
+    code = (
+        "import gymnasium\n"
+        "name = 'sonoservo.diagrams.environment:sonoservo/FollowNeedle-v0'\n"
+        "print(gymnasium.make(name).action_space.shape)"
+    )
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert "(4,)" in said.stdout, said.stderr
+
+
 def test_without_gymnasium_a_line_says_what_to_install():
     code = (
         "import sys; sys.modules['gymnasium'] = None\n"
