@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from sonoservo.diagrams.papers.chatelain2013.plots import study_figures
-from sonoservo.diagrams.studies.following.analysis import Run, quantile
-from sonoservo.diagrams.studies.following.cases import AS_PUBLISHED
+from sonoservo.diagrams.studies.following.analysis import AS_PUBLISHED, Run, quantile
 from sonoservo.diagrams.studies.following.method_report import (
     Comparison,
     MethodRuns,

@@ -13,7 +13,7 @@ import numpy as np
 from rich.console import Console
 
 from sonoservo.diagrams.papers.chatelain2013.report import report
-from sonoservo.diagrams.studies.following.cases import AS_PUBLISHED, run_case
+from sonoservo.diagrams.studies.following.analysis import AS_PUBLISHED, run_case
 from sonoservo.diagrams.studies.runs import run_cases
 from sonoservo.diagrams.studies.store import Store
 from sonoservo.diagrams.studies.study import Case, StudyOptions
