@@ -283,11 +283,11 @@ def integrate_paths(  # type: ignore[no-untyped-def]
                 z = y * twist * from_middle
                 if bends:
                     x, y, z = true_position(x, y, z, medium, frame)
-                a = np.int64(np.floor(per_metre * (_coordinate(X, 0, x, y, z) - origin[0])))
-                b = np.int64(np.floor(per_metre * (_coordinate(X, 1, x, y, z) - origin[1])))
-                c = np.int64(np.floor(per_metre * (_coordinate(X, 2, x, y, z) - origin[2])))
+                a = per_metre * (_coordinate(X, 0, x, y, z) - origin[0])
+                b = per_metre * (_coordinate(X, 1, x, y, z) - origin[1])
+                c = per_metre * (_coordinate(X, 2, x, y, z) - origin[2])
                 if 0 <= a < nx and 0 <= b < ny and 0 <= c < nz:
-                    label = labels[a, b, c]
+                    label = labels[np.int64(a), np.int64(b), np.int64(c)]
                     loss += loss_rate[label] * step
                     late += delay_rate[label] * step
 

@@ -84,14 +84,14 @@ def weigh_scatterers(  # type: ignore[no-untyped-def]
         y = y0 + ys[i]
         z = z0 + zs[i]
         label = 0
-        a = np.int64(np.floor((x - regions.origin[0]) * regions.per_metre))
-        b = np.int64(np.floor((y - regions.origin[1]) * regions.per_metre))
-        c = np.int64(np.floor((z - regions.origin[2]) * regions.per_metre))
+        a = (x - regions.origin[0]) * regions.per_metre
+        b = (y - regions.origin[1]) * regions.per_metre
+        c = (z - regions.origin[2]) * regions.per_metre
         if 0 <= a < nx and 0 <= b < ny and 0 <= c < nz:
-            label = regions.labels[a, b, c]
+            label = regions.labels[np.int64(a), np.int64(b), np.int64(c)]
         # Positions are random, so any rule that ignores them thins the scatterers at random.
         mark = np.float64(i) * _GOLDEN
-        if mark - np.floor(mark) >= regions.shares[label]:
+        if mark - np.int64(mark) >= regions.shares[label]:
             continue
         factor = regions.amplitudes[label]
         if z > -regions.fat_thickness:
