@@ -76,12 +76,12 @@ def line_looks(
 ) -> dict[str, Floats]:
     """Return what tells needles from other bright lines, each (n,).
 
-    A needle is as narrow as the beam, and on at most one side something as bright, as it may
-    reverberate: a sheet has two. The
-    surface of a bone or the border between two tissues has unlike sides above and below. A sheet,
-    or the wall of a vessel, brightens what lies below; a needle shades it. A needle comes from the
-    side of the field of view, goes down rather than up, and ends within. Fibres and calcifications
-    are short. Far from the lens's focus, a point is drawn out to a streak across the frames.
+    A needle is as narrow as the beam, and at most one side is as bright, as it may reverberate. A
+    sheet is wide, with two such sides. The surface of a bone or the border between two tissues has
+    unlike sides above and below. A sheet, or the wall of a vessel, brightens what lies below; a
+    needle shades it. A needle comes from the side of the field of view, goes down rather than up,
+    and ends within. Fibres and calcifications are short. Far from the lens's focus, a point is
+    drawn out to a streak across the frames.
 
     Parameters
     ----------
