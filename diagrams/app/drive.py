@@ -50,17 +50,8 @@ sliders. ? lists all keys. Space pauses, and "finish" ends the drive as Ctrl-C d
 class DrivenExperiment(FollowingExperiment):
     """Following experiment with a teleoperated needle, phantom and controller.
 
-    Parameters
-    ----------
-    scenario
-        Scene of the run. The operator's actions replace its pushes, moves of the phantom and
-        changes of the controller.
-    console
-        Console whose pages the operator uses.
-    meshcat
-        Meshcat that draws the world, if any.
-    observers
-        Observing systems; see `FollowingExperiment`.
+    The operator's actions, from the console's pages, replace the scenario's pushes, moves of the
+    phantom and changes of the controller.
     """
 
     def __init__(
@@ -140,34 +131,10 @@ def drive(
 ) -> RunResult:
     """Let an operator drive in real time, for the scenario's duration or until they finish.
 
-    The operator's actions are saved as a scenario, which `run` repeats. Any number of pages may be
-    open, including none; all of them control the run.
-
-    Parameters
-    ----------
-    scenario
-        Scene of the run; see `DrivenExperiment`.
-    console
-        Console whose pages the operator uses.
-    meshcat
-        Meshcat that draws the world, if any.
-    observers
-        Observing systems; see `FollowingExperiment`.
-    out
-        Folder for scenario.yaml (the drive), scenario_1.yaml and so on (drives that were saved,
-        abandoned by a restart, or made earlier in the same folder), summary.json, log.npz, plots
-        and report.html; None writes nothing.
-    show
-        Function called regularly with the simulated time in s and a status text.
-
-    Returns
-    -------
-    Results of the run since its last start.
-
-    Raises
-    ------
-    ConfigurationError
-        If the scenario cannot be carried out.
+    The folder gets scenario.yaml, the drive, which `run` repeats; scenario_1.yaml and so on, drives
+    that were saved, abandoned by a restart, or made earlier; and the results of the run since its
+    last start, which are returned. `show` is called regularly with the simulated time in s and a
+    status text. ConfigurationError if the scenario cannot be carried out.
     """
     with refusing(scenario):
         experiment = DrivenExperiment(scenario, console, meshcat, observers)

@@ -41,14 +41,11 @@ def interrupted_code() -> int:
 def catch_interruptions() -> None:
     """Let SIGTERM and SIGHUP interrupt the program as Ctrl-C does, and end it within `PATIENCE`.
 
-    All three raise KeyboardInterrupt in the main thread, so that a run keeps what it has and writes
-    its summary. What is not written by then is left out. The watch is kept by a thread, because the
-    main thread may be inside a compiler. A second signal ends the program at once. A signal that is
-    ignored at the start, as by ``nohup``, stays ignored.
-
-    Callbacks from C and finalizers swallow exceptions. An interruption that arrives in one is
-    raised again shortly after it. The compiler's callbacks crash it if they fail, so there an
-    interruption waits.
+    All three raise KeyboardInterrupt in the main thread, so that a run keeps what it has. A second
+    signal ends the program at once; one that is ignored at the start, as by ``nohup``, stays
+    ignored. A thread keeps the watch, because the main thread may be inside a compiler. Callbacks
+    from C and finalizers swallow exceptions, so an interruption in one is raised again; one in the
+    compiler's callbacks, which crash it if they fail, waits.
     """
     watch, wake = socket.socketpair()
     wake.setblocking(False)

@@ -74,13 +74,7 @@ class RunResult:
 
 
 def summary_table(result: RunResult) -> Table:
-    """Return the figures of a run beside the published ones, for a terminal.
-
-    Parameters
-    ----------
-    result
-        Results of the run.
-    """
+    """Return the figures of a run beside the published ones, for a terminal."""
     summary, published = result.summary, result.published
     table = Table(title=f"{summary['scenario']}, seed {summary['seed']}", caption_justify="left")
     caption = Text(stops_text(summary))

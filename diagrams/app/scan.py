@@ -33,17 +33,7 @@ _INDENTATION = 4e-3
 
 @dataclass(frozen=True, eq=False)
 class Scan:
-    """A sweep, its volume and the true needle, which draw themselves in a notebook.
-
-    Parameters
-    ----------
-    sweep, volume
-        Sweep as acquired, and on a Cartesian grid.
-    needle
-        True needle in W at the middle of the sweep, possibly empty.
-    caption
-        Probe and settings of the scan, in a line.
-    """
+    """A sweep as acquired, its volume, the true needle in W at its middle, and its settings."""
 
     sweep: Sweep
     volume: Volume

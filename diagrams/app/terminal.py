@@ -55,17 +55,7 @@ def _make_bar(console: Console) -> RichProgress:
 
 
 class Progress:
-    """Progress bar of a run, with the tracker's status.
-
-    Call it after every step with the experiment.
-
-    Parameters
-    ----------
-    console
-        Console to draw in.
-    scenario
-        Scenario of the run.
-    """
+    """Progress bar of a run, with the tracker's status; call it after every step."""
 
     def __init__(self, console: Console, scenario: Scenario) -> None:
         self._console = console
@@ -105,19 +95,7 @@ class Progress:
 
 
 class VolumeProgress:
-    """Progress bar of the work on a recording, with the tracker's mode.
-
-    Call it after every volume with its number and the estimate, if there is one.
-
-    Parameters
-    ----------
-    console
-        Console to draw in.
-    name
-        Name of the recording.
-    count
-        Number of its volumes.
-    """
+    """Progress bar of a recording; call it with each volume's number and the estimate, if any."""
 
     def __init__(self, console: Console, name: str, count: int) -> None:
         self._bar = _make_bar(console)

@@ -27,15 +27,7 @@ _LEAST, _MOST = 0.1, 2.0
 
 @dataclass(frozen=True, eq=False)
 class PoseCalibration(Immutable):
-    """What volumes said about the errors of their poses.
-
-    Parameters
-    ----------
-    volumes
-        Newest volumes.
-    equations
-        Equations of each pair that was compared.
-    """
+    """What the newest volumes, and the equations of pairs, say about the errors of their poses."""
 
     volumes: tuple[Volume, ...] = ()
     equations: tuple[PoseEquations, ...] = ()

@@ -102,13 +102,7 @@ class PoseErrors(Immutable):
 
 @dataclass(frozen=True, eq=False)
 class PoseEquations(Immutable):
-    """Linear equations for the seven unknowns, from one pair of volumes.
-
-    Parameters
-    ----------
-    matrix, displacement
-        (3 m, 7) coefficients, and (3 m,) apparent displacements in m.
-    """
+    """(3 m, 7) coefficients and (3 m,) apparent displacements in m of one pair of volumes."""
 
     matrix: Floats
     displacement: Floats
@@ -140,15 +134,7 @@ def probe_velocities(motion: SweepMotion, times: Floats) -> tuple[Floats, Floats
 
 
 def pose_equations(first: Volume, second: Volume, seen: TissueDisplacement) -> PoseEquations:
-    """Return the equations that the apparent displacement of tissue between two volumes gives.
-
-    Parameters
-    ----------
-    first, second
-        The volumes.
-    seen
-        Apparent displacement from the first to the second.
-    """
+    """Return the equations from the apparent displacement of tissue between two volumes."""
     here, there = (
         _coefficients(volume, p_W)
         for volume, p_W in ((first, seen.p_W), (second, seen.p_W + seen.displacement))
@@ -173,16 +159,8 @@ def _coefficients(volume: Volume, p_W: Floats) -> Floats:
 def estimate_pose_errors(equations: Sequence[PoseEquations]) -> PoseErrors | NotFound:
     """Solve the equations of several pairs of volumes by robust least squares.
 
-    The blocks of a pair err together, so the covariance counts pairs (a sandwich estimate).
-
-    Parameters
-    ----------
-    equations
-        Equations of each pair.
-
-    Returns
-    -------
-    The errors, or a `NotFound` if there are too few pairs, or the tissue moves.
+    The blocks of a pair err together, so the covariance counts pairs (a sandwich estimate). A
+    `NotFound` says that there are too few pairs, or that the tissue moves.
     """
     used = [each for each in equations if len(each.displacement)]
     if len(used) < _LEAST_PAIRS:

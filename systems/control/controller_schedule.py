@@ -47,15 +47,7 @@ class ControllerSettings(Immutable):
 
 
 class ControllerSchedule(Immutable):
-    """Settings as a function of time.
-
-    Parameters
-    ----------
-    start
-        Settings that hold until the first change.
-    changes
-        Changes in order of time.
-    """
+    """Settings as a function of time: those at the start, and changes in order of time."""
 
     def __init__(self, start: ControllerSettings, changes: tuple[ControllerChange, ...] = ()):
         self.start, self.changes = start, changes

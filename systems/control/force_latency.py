@@ -28,20 +28,12 @@ def next_correlation(
 ) -> tuple[NDArray[np.float64], float]:
     """Return the correlation after one more step, and the latency in s, or NaN while unknown.
 
-    A lag is believed if it explains nearly all of what is measured, at the size expected, and
-    nearly all of what was expected could have been measured by then. A contact that changes
-    meanwhile leaves the latency unknown.
-
-    Parameters
-    ----------
-    state
-        (4, m) last changes of the expected force, and sums of their products with those of the
-        measured one, of their squares, and of the squares of the latter, each for m lags.
-    expected, measured
-        Changes since the step before of the force that moves the probe's mass, as commanded, and of
-        the wrist's force, in N.
-    time_step
-        Time between steps, in s.
+    The (4, m) state holds, for each of m lags, the last changes of the expected force, and sums of
+    their products with those of the measured one, of their squares, and of the squares of the
+    latter. `expected` and `measured` are the changes in N, since the step before, of the force that
+    moves the probe's mass as commanded and of the wrist's force. A lag is believed if it explains
+    nearly all of what is measured, at the size expected, and nearly all of what was expected could
+    have been measured by then; a contact that changes meanwhile leaves the latency unknown.
     """
     past = np.concatenate([[expected], state[0, :-1]])
     added = np.stack([measured * past, past * past, np.full_like(past, measured**2)])

@@ -60,38 +60,12 @@ class HoldsFramesError(ConfigurationError):
 class VolumeFile:
     """Volumes in a file, as its header describes them.
 
-    Parameters
-    ----------
-    path
-        Path of the file.
-    shape
-        Numbers of voxels along the file's three spatial axes.
-    count
-        Number of volumes.
-    directions
-        (3, 3) array whose columns are the steps from one voxel to the next along each axis, in mm,
-        in LPS.
-    origin
-        (3,) position of the first voxel in mm, in LPS.
-    read
-        Function that returns the n-th volume, of shape `shape`, in any memory order. It raises
-        `ConfigurationError` if the file has less data than its header announces.
-    times
-        (count,) times of the volumes in s; None if the file has none.
-    fields
-        Fields of the header, by name.
-    notes
-        What a person should know about how the file was read, each a sentence.
-    channels
-        Numbers of each voxel, along a last axis of what ``read`` returns: 1 for an echo, without
-        such an axis; 3 or 4 for colours.
-    void
-        Number that stands for what was not seen, if the header states one.
-
-    Raises
-    ------
-    ConfigurationError
-        If a volume, or the number of volumes, is beyond the budget of memory.
+    `directions` has the steps to the next voxel along each of the three axes as columns, and
+    `origin` is the place of the first voxel, in mm, in LPS. `read` returns the n-th volume in any
+    memory order, colours along a last axis, or raises `ConfigurationError` if data are missing.
+    `times` are (count,), in s. `fields` are those of the header by name; each of the `notes` is a
+    sentence for a person; `void` is the number that stands for what was not seen, if one is stated.
+    What is beyond the budget of memory is refused.
     """
 
     path: Path

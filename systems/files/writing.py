@@ -18,26 +18,11 @@ _STREAMS = ("/dev/", "/proc/")
 
 
 def write_atomically(path: str | Path, data: bytes | str) -> Path:
-    """Write a file atomically: a reader sees the old file or the new one, never a part.
+    """Write bytes, or text as UTF-8, atomically: a reader sees the old file or the new one.
 
-    A symbolic link stays a link, and the file that it leads to is written. Devices, pipes and files
-    with several names are written into, never replaced.
-
-    Parameters
-    ----------
-    path
-        Path of the file. Its folder is created if necessary.
-    data
-        Bytes, or text that is written as UTF-8.
-
-    Returns
-    -------
-    Path of the file.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be written; the error names it.
+    The folder is made if necessary. A symbolic link stays a link, and the file that it leads to is
+    written. Devices, pipes and files with several names are written into, never replaced. An
+    OSError names the file. Returns its path.
     """
     path = Path(path)
     content = data.encode() if isinstance(data, str) else data
@@ -117,20 +102,7 @@ class Unwritten:
 
 
 def write_json(path: str | Path, data: Any) -> Path:
-    """Write data as a JSON file, atomically.
-
-    Parameters
-    ----------
-    path
-        Path of the file.
-    data
-        JSON data, which may also contain NumPy numbers and arrays. Numbers that are not finite
-        become null.
-
-    Returns
-    -------
-    Path of the file.
-    """
+    """Write data, also NumPy's, as JSON, atomically; numbers that are not finite become null."""
     return write_atomically(path, to_json(data))
 
 

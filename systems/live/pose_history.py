@@ -13,14 +13,9 @@ _JUMP = 1.0
 
 
 class PoseHistory:
-    """Poses with their times.
+    """Poses with their times, bridged by interpolation over at most ``max_gap`` s.
 
-    Parameters
-    ----------
-    max_gap
-        Longest time between two poses that is bridged by interpolation, in s.
-    tolerance
-        Longest time in s before the first or after the last pose at which that pose is still taken.
+    At most ``tolerance`` s before the first or after the last pose, that pose is still taken.
     """
 
     def __init__(self, *, max_gap: float = 0.5, tolerance: float = 0.05) -> None:

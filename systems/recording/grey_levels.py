@@ -106,13 +106,7 @@ def _marks(numbers: NDArray[Any]) -> list[Any]:
 
 @dataclass(frozen=True)
 class GreyWindow(Immutable):
-    """Range of a file's numbers that becomes the grey levels 0 to 255; numbers beyond it saturate.
-
-    Parameters
-    ----------
-    low, high
-        Numbers that become 0 and 255.
-    """
+    """Numbers of a file that become the grey levels 0 and 255; what lies beyond them saturates."""
 
     low: float
     high: float
@@ -203,21 +197,10 @@ def window_of_first(volumes: Iterable[NDArray[Any]], enough: int) -> tuple[GreyW
 class GreyLevels:
     """Turns the numbers of a stream's volumes into grey levels, with one window for all of them.
 
-    The window holds what the last volumes that showed something ask for (`choose_window`). A volume
-    without any contrast chooses nothing, and is black. Unless it is `held`, the window follows when
-    a quarter more or less would do: the first volume may have been dim, or a test picture.
-
-    Parameters
-    ----------
-    window
-        Numbers that become 0 and 255; by default, the volumes choose them.
-
-    Attributes
-    ----------
-    held
-        True while something is tracked, whose echoes must not change by themselves.
-    window
-        Present window; None while no volume has shown anything.
+    Unless it is given, the window holds what the last volumes that showed something ask for
+    (`choose_window`), and is None before. A volume without any contrast chooses nothing, and is
+    black. Unless it is `held`, as while something is tracked, the window follows when a quarter
+    more or less would do: the first volume may have been dim, or a test picture.
     """
 
     def __init__(self, window: tuple[float, float] | None = None) -> None:

@@ -28,19 +28,10 @@ class KnownTransform(Immutable):
 class PlusConfiguration(Immutable):
     """What a device-set configuration says about images and their poses.
 
-    Parameters
-    ----------
-    transforms
-        Transforms by name, such as ``ImageToProbe``.
-    orientation
-        Orientation of the images that the port delivers, such as ``MF``; empty if not stated.
-    time_offset
-        Time in s by which the images' devices are set back against those of the trackers
-        (``LocalTimeOffsetSec``); PLUS has applied it to the times that it records and sends.
-    clip
-        First pixel and size, (i, j, ni, nj), of the part of a frame that shows tissue
-        (``ClipRectangleOrigin`` and ``ClipRectangleSize`` of the volume reconstruction); None if
-        not stated.
+    Transforms are by name, such as ``ImageToProbe``. `time_offset` is the time in s by which the
+    images' devices are set back against the trackers' (``LocalTimeOffsetSec``), which PLUS has
+    applied to what it records and sends. `clip` is first pixel and size, (i, j, ni, nj), of the
+    part of a frame that shows tissue (``ClipRectangleOrigin``, ``ClipRectangleSize``), if stated.
     """
 
     transforms: dict[str, KnownTransform] = field(default_factory=dict)

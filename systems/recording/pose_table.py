@@ -21,26 +21,14 @@ _NAMES = ("file", "filename", "image", "name")
 
 
 def read_pose_table(path: Path, files: Sequence[str]) -> dict[str, str]:
-    """Read a table with a row for each frame, as the fields that PLUS would write.
+    """Read a table with a row for each frame's file, as the fields that PLUS would write.
 
     The first row names the columns. ``file`` or ``frame`` (from 0) tells which frame a row belongs
-    to; without either, rows are in order. ``time`` is in s, ``time_ms`` in ms. A pose is
-    ``x, y, z`` in mm with the unit quaternion ``qw, qx, qy, qz``, or the elements ``m00`` to
-    ``m23`` of a matrix in mm. It is that of the probe in the reference (``ProbeToReference``),
-    unless the columns begin with another name, as ``ImageToReference_m00``. A row that is not
-    understood costs its frame.
-
-    Parameters
-    ----------
-    path
-        Path of the table.
-    files
-        Names of the frames' files, in order.
-
-    Raises
-    ------
-    ConfigurationError
-        If it is not valid; the message names the file and the fault.
+    to; without either, rows are in order. ``time`` is in s, ``time_ms`` in ms. A pose is ``x, y,
+    z`` in mm with the unit quaternion ``qw, qx, qy, qz``, or the elements ``m00`` to ``m23`` of a
+    matrix in mm. It is that of the probe in the reference (``ProbeToReference``), unless the
+    columns begin with another name, as ``ImageToReference_m00``. A row that is not understood costs
+    its frame.
     """
     if not path.is_file():
         raise ConfigurationError(f"{path}: there is no such table of poses")

@@ -65,17 +65,7 @@ def side_path(recording: Path, suffix: str) -> Path:
 
 
 class LinesWriter:
-    """Writes a JSON Lines file, which gets its final name when it is closed.
-
-    Parameters
-    ----------
-    recording
-        Path of the recording that the file belongs to.
-    suffix
-        Suffix of the file.
-    first
-        First line of the file; the format version is added.
-    """
+    """Writes a JSON Lines file beside a recording; its first line gets the format version."""
 
     def __init__(self, recording: Path, suffix: str, first: dict[str, Any]) -> None:
         self._path = side_path(recording, suffix)
@@ -140,24 +130,10 @@ def describe_acquisition(volume: Volume) -> dict[str, Any]:
 
 @dataclass(frozen=True, eq=False)
 class Acquisition:
-    """Exact times and poses of the acquisition of volumes.
+    """Exact times in s and poses X_WP of the acquisition of volumes, and a tracker's settings.
 
-    Parameters
-    ----------
-    origin, spacing
-        (3,) origin and voxel spacing of all volumes, in m.
-    times
-        Times of the volumes, in s.
-    poses
-        Pose X_WP of each volume.
-    motions
-        Motion of the probe during each volume; None if unknown.
-    decibels_per_level
-        dB per grey level of all volumes; None if the file does not contain it.
-    point_spread
-        Point spread of all volumes; None if the file does not contain it.
-    settings
-        Further entries of the first line.
+    Origin, spacing (m), dB per grey level and point spread are those of all volumes; the latter
+    two, and the motion of the probe during a volume, are None if the file does not contain them.
     """
 
     origin: NDArray[np.float64]
@@ -171,13 +147,7 @@ class Acquisition:
 
 
 def read_acquisition(path: Path) -> Acquisition:
-    """Read the acquisition of a recording.
-
-    Raises
-    ------
-    ConfigurationError
-        If the file is damaged, or has another format version.
-    """
+    """Read the acquisition of a recording; ConfigurationError if it is damaged."""
     with refusing_failures(path, "damaged"):
         acquisition = parse_acquisition(*_read_lines(path))
         check_times(path, np.array(acquisition.times), range(len(acquisition.times)))
@@ -261,13 +231,7 @@ class Truth:
 
 
 def read_truth(path: Path) -> Truth:
-    """Read the ground truth of a recording.
-
-    Raises
-    ------
-    ConfigurationError
-        If the file is damaged, or has another format version.
-    """
+    """Read the ground truth of a recording; ConfigurationError if it is damaged."""
     with refusing_failures(path, "damaged"):
         first, lines = _read_lines(path)
         require(len(lines) > 0, "samples", 0, "at least 1")

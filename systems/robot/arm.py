@@ -105,19 +105,9 @@ class ArmWithProbe:
 
 
 def load_arm(name: str) -> Arm:
-    """Read an arm from YAML and check it.
+    """Read an arm from YAML by its name in ``models/robots``, or by a path, and check it.
 
-    Parameters
-    ----------
-    name
-        Name of a file in ``models/robots`` ("viper_s850"), or a path.
-
-    Raises
-    ------
-    ConfigurationError
-        If the file does not describe an arm; the message names the file and the field.
-    FileNotFoundError
-        If there is no such file.
+    A ConfigurationError names the file and the field; FileNotFoundError if there is no such file.
     """
     return _read_arm(model_file("robots", name))
 
@@ -240,12 +230,7 @@ def set_servo_gains(arm: ArmWithProbe, servo: JointServo) -> None:
 def MakeArmPlant(arm: Arm, body: ProbeBody, X_PC: RigidTransform | None = None) -> ArmWithProbe:
     """Return an arm and its probe in a finalized plant of their own, for kinematics.
 
-    Parameters
-    ----------
-    arm, body
-        The arm and the body of its probe.
-    X_PC
-        Pose of the calibrated probe frame in the true one; by default they are the same.
+    X_PC is the pose of the calibrated probe frame in the true one; by default they are the same.
     """
     plant = MultibodyPlant(time_step=0)
     placed = AddArmWithProbe(plant, arm, body)

@@ -52,32 +52,10 @@ def refusing(scenario: Scenario) -> Iterator[None]:
 class KeptRun:
     """A run that writes its scenario at the start, its log in any case, and its results at the end.
 
-    It is a context manager around the simulation. Inside it, the clock runs. An interruption from
-    the keyboard, or a recording that cannot be written, ends the simulation but not the program.
-
-    Parameters
-    ----------
-    scenario
-        Scenario of the run.
-    write_log
-        Function that writes the log so far to a path.
-    out
-        Folder of all files; None writes nothing.
-    meshcat
-        Meshcat that draws the run, if any; its recording becomes the replay.
-    movie
-        File for a movie of the run, if any.
-
-    Attributes
-    ----------
-    scenario
-        Scenario of the run.
-    out
-        Folder of all files, or None.
-    interrupted
-        Whether the simulation was interrupted.
-    unwritten
-        Errors of files that could not be written.
+    It is a context manager around the simulation, in which its clock runs. An interruption from the
+    keyboard, or a recording that cannot be written, ends the simulation but not the program.
+    `write_log` writes the log so far to a path; without ``out``, no file is written. `unwritten`
+    collects the errors of files.
     """
 
     def __init__(

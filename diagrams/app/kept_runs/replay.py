@@ -46,17 +46,7 @@ _DECIBELS = 60.0
 
 @dataclass(frozen=True, eq=False)
 class Replay:
-    """What the console shows of a kept run.
-
-    Parameters
-    ----------
-    title
-        Title of the console.
-    samples
-        Samples of the strips, in order of time.
-    frames
-        Slices of the volumes, in order of time.
-    """
+    """What the console shows of a kept run: its title, samples and frames, in order of time."""
 
     title: str
     samples: Sequence[Sample]
@@ -136,18 +126,7 @@ class Replay:
 
 
 def read_replay(folder: str | Path) -> Replay:
-    """Read what the console shows of a run in which the robot follows a needle.
-
-    Parameters
-    ----------
-    folder
-        Folder of the run.
-
-    Raises
-    ------
-    ConfigurationError
-        If it is not the folder of such a run, or a file of it cannot be read.
-    """
+    """Read a run in which the robot follows a needle; ConfigurationError if it is none."""
     folder = Path(folder)
     kept = read_kept_results(folder)
     if not isinstance(kept.log, RunLog):

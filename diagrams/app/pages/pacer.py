@@ -14,20 +14,10 @@ _LOOK = 1 / 32
 
 
 class Pacer:
-    """Holds a run back while its console asks for it.
+    """Holds a run back while its console asks for it; call `wait` after every volume.
 
-    Call `wait` after every volume.
-
-    Parameters
-    ----------
-    console
-        Console of the run.
-    speed
-        Initial speed as a multiple of real time; 0 for as fast as possible.
-    keeps_speed
-        Whether `wait` also holds the run to its speed. A simulator does so itself.
-    sleep
-        Function that waits for a time in s.
+    The speed is a multiple of real time, 0 for as fast as possible; with ``keeps_speed``, `wait`
+    also holds the run to it, which a simulator does itself.
     """
 
     def __init__(

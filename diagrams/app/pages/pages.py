@@ -22,17 +22,7 @@ _REPLAY = "replay.html"
 
 @dataclass(frozen=True, kw_only=True)
 class Pages:
-    """Pages of a command.
-
-    Parameters
-    ----------
-    site
-        Site that serves them.
-    console
-        Console of the run.
-    meshcat
-        Meshcat that draws the world, if Drake's does.
-    """
+    """Site of a command, its console, and the Meshcat that draws the world, if Drake's does."""
 
     site: Site
     console: Console
@@ -66,27 +56,9 @@ def open_pages(
 ) -> Pages:
     """Open the pages of a command on the first free port from 7000 on, and print the address.
 
-    Parameters
-    ----------
-    terminal
-        Terminal of the command.
-    title
-        Title of the console.
-    host
-        Address to listen on; ``*`` for all addresses of this machine.
-    world
-        Whether Drake's Meshcat draws the world; otherwise the console draws a view of the probe.
-    kept
-        Folder of a kept run whose replay.html takes the place of the world, and whose report is
-        linked.
-    by_itself
-        Whether to open the console in the browser, if there is a desktop and a person at the
-        terminal.
-
-    Raises
-    ------
-    ConfigurationError
-        If it cannot listen there.
+    Without a ``world``, the console draws a view of the probe; a folder ``kept`` has the
+    replay.html that takes the world's place. The console opens in the browser ``by_itself`` if a
+    person with a desktop sits at the terminal. ConfigurationError if it cannot listen there.
     """
     site = open_site(host)
     logging.getLogger("drake").addFilter(_is_news)

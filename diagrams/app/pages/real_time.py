@@ -6,17 +6,10 @@ from collections.abc import Callable
 
 
 class RealTime:
-    """Measures a simulation's delay against real time, and its recent speed.
+    """Measures a simulation's delay against real time, and its speed over a recent window, in s.
 
-    Parameters
-    ----------
-    window
-        Real time over which the speed is measured, in s.
-    patience
-        Largest delay that the simulation may make up for, in s. It should cover the computation of
-        a volume, but not a persistent lack of speed.
-    clock
-        Function that returns real time, in s.
+    The patience is the largest delay in s that the simulation may make up for: the computation of a
+    volume, but no persistent lack of speed.
     """
 
     def __init__(

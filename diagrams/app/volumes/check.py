@@ -59,17 +59,7 @@ _SECONDS = 5.0
 
 @dataclass
 class CheckedSource:
-    """Findings about a source.
-
-    Parameters
-    ----------
-    source
-        Path or address.
-    findings
-        What was found.
-    picture
-        Picture that marks the probe's side and "up"; None if nothing could be shown.
-    """
+    """Findings about a path or address, and a picture that marks the probe's side, if any."""
 
     source: str
     findings: list[Finding] = field(default_factory=list)
@@ -309,10 +299,7 @@ def check_stream(
     patience: float = 30.0,
     say: Callable[[str], None] = print,
 ) -> CheckedSource:
-    """Check what comes over a live connection.
-
-    It waits ``patience`` s for the first message, and listens ``seconds`` s after it.
-    """
+    """Check what comes over a connection for so many s after the first message."""
     reading = reading or Reading()
     checked = CheckedSource(str(address))
     record = _StreamRecord(address, reading.poses, reading.clock_offset)

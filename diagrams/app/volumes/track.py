@@ -44,24 +44,11 @@ def tracker_parameters(
     beam_width: float | None = None,
     echo_offset: float | None = None,
 ) -> TrackerParameters:
-    """Return the parameters of a tracker for recordings.
+    """Return the parameters of one of the `TRACKERS` for recordings, or a ConfigurationError.
 
-    Parameters
-    ----------
-    tracker
-        Kind of one of the `TRACKERS`.
-    order
-        Order of the curve: 2 for a straight needle, 3 for a bent one.
-    start
-        "search" to find the needle when it is pushed in; "anywhere" to localize it in the whole
-        volume from the first volume on, without seeing the insertion.
-    beam_width, echo_offset
-        Values that the user knows, in m; see `NeedleLocalizerParameters.knowing`.
-
-    Raises
-    ------
-    ConfigurationError
-        If a value is not allowed; the message names it.
+    The order is 2 for a straight needle, 3 for a bent one. "search" finds a needle that is pushed
+    in, "anywhere" one in the whole volume, from the first on. The widths that the user knows are in
+    m.
     """
     trackers = {each.kind: each for each in TRACKERS}
     if tracker not in trackers:

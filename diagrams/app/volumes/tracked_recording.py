@@ -32,22 +32,10 @@ from sonoservo.systems.signals.needle_estimate import NeedleEstimate
 class TrackedRecording:
     """Results of tracking in a recording.
 
-    Parameters
-    ----------
-    estimates
-        Estimate after each volume, in W.
-    rows
-        Rows of ``estimates.csv``: the estimates in the file's own coordinates, LPS in mm.
-    summary
-        Figures, as in summary.json.
-    log
-        Log like that of a run; its truth is the one beside the recording, if there is one.
-    times
-        Times of the volumes, in s.
-    pictures
-        Pictures of some volumes.
-    failure
-        Error of the first file that could not be written; None if all were.
+    `estimates` are in W and `times` in s, one for each volume; `rows` are those of
+    ``estimates.csv``, in the file's own LPS in mm; `summary` has the figures of summary.json. The
+    log is like that of a run, with the truth beside the recording, if any. `failure` is the error
+    of the first file that could not be written.
     """
 
     estimates: list[NeedleEstimate]

@@ -132,13 +132,10 @@ class Console:
     def say(self, **facts: Any) -> None:
         """Show facts about the run.
 
-        Parameters
-        ----------
-        facts
-            ``paused``; ``pace``, ``note`` and ``ended`` in words; address of the ``report``; the
-            ``legend`` of the world; and the parts of the page that it goes ``without``: world,
-            slices, the second one, planes, cine, strips and readings, and each of these by name.
-            ``seek`` is the time in s to which a recorded world is wound.
+        They are ``paused``; ``pace``, ``note`` and ``ended`` in words; address of the ``report``;
+        ``legend`` of the world; parts of the page that it goes ``without``: world, slices, the
+        second one, planes, cine, strips, readings, and each of these by name; ``seek``, the time in
+        s to which a recorded world is wound.
         """
         if any(self._facts.get(name) != value for name, value in facts.items()):
             self._facts = self._facts | facts

@@ -56,12 +56,11 @@ class SliceView:
 
 @dataclass(frozen=True, eq=False)
 class SlicePicture:
-    """A slice to be drawn; all lengths are in mm.
+    """A slice to be drawn, with its title and the names of its coordinates to the right and down.
 
-    It has a title, the names of its coordinates to the right and down, (rows, columns) levels, the
-    upper left corner and the size of the picture, the left, right, top and bottom edges of the area
-    shown, two polylines beside the needle, the (2,) tip (empty without a needle), and class and (2,
-    2) ends of the lines that are followed near the slice.
+    In mm: upper left corner and size of the (rows, columns) levels; left, right, top and bottom
+    edges of the area shown; two polylines beside the needle; its (2,) tip, empty without one; and
+    class and (2, 2) ends of the lines that are followed near the slice.
     """
 
     title: str

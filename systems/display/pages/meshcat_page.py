@@ -34,15 +34,6 @@ def open_meshcat(site: Site, *, page: str = "world", title: str = "World") -> Me
     it: what a page says, such as the state of a gamepad, is dropped, so Meshcat's own sliders and
     buttons have no effect. A page that reads nothing for `PATIENCE` is disconnected.
 
-    Parameters
-    ----------
-    site
-        Site of the page. It keeps the Meshcat alive until it is closed.
-    page, title
-        Name of the page in its address, and title in the list of pages.
-
-    Notes
-    -----
     The hidden server itself still answers everybody. A page of another origin would have to guess
     24 bits of its address and about 15 bits of its port, at some hundreds of attempts per second.
     If the system has no loop address but 127.0.0.1, as macOS, only the port is hidden, and a

@@ -46,35 +46,12 @@ _REFUSED = """\
 class Site:
     """Serves all pages of a run under one address, and only to those who know its token.
 
-    Pages are added with `add`. Each page has an address of its own, with the token in it, from
-    `address`. A browser that has opened one keeps the token as a cookie, which it sends to this
-    site only (SameSite=Strict) and shows to no script (HttpOnly). `Access` is the rule for every
-    request, and the list of the pages is at the site's root.
-
-    The site serves on a thread of its own, and ends with the process.
-
-    Parameters
-    ----------
-    host
-        Name or address to listen on; ``*`` for all addresses of this machine.
-    port
-        Port to listen on, or the next free one if it is in use.
-
-    Attributes
-    ----------
-    access
-        Rule for every request.
-    port
-        Port on which it listens.
-    cookie
-        Name of the cookie that holds the token.
-
-    Raises
-    ------
-    ValueError
-        If the port is not between 1 and 65535.
-    OSError
-        If the host is not an address of this machine, or no port is free.
+    A browser that has opened a page's `address` keeps the token in it as a cookie, which it sends
+    to this site only (SameSite=Strict) and shows to no script (HttpOnly). `Access` is the rule for
+    every request; the list of the pages is at the site's root. The host may be ``*``, for all
+    addresses of this machine, and a port in use gives way to the next free one. The site serves on
+    a thread of its own, and ends with the process. OSError if the host is no address of this
+    machine, or no port is free.
     """
 
     def __init__(self, *, host: str = "localhost", port: int = PORT) -> None:

@@ -43,20 +43,10 @@ class MessageError(Exception):
 
 @dataclass(frozen=True)
 class Header:
-    """Header of a message.
+    """Header of a message: its time in s, and size and checksum of its body in bytes.
 
-    Parameters
-    ----------
-    version
-        1, or more with an extended header and metadata.
-    type, device
-        For example ``IMAGE`` and ``Image_Probe``.
-    time
-        Time in s.
-    size
-        Bytes of the body.
-    crc
-        Checksum of the body.
+    From version 2 on, the body has an extended header and metadata. `type` and `device` are, for
+    example, ``IMAGE`` and ``Image_Probe``.
     """
 
     version: int

@@ -58,19 +58,9 @@ class LiveProtocol(Protocol):
 
 @dataclass(frozen=True)
 class Address:
-    """Address to connect to, or to listen on.
+    """Address to connect to, or to listen on: for this machine alone if the host is empty.
 
-    Parameters
-    ----------
-    scheme
-        Name of the protocol.
-    host
-        Host to connect to; empty to listen on this machine alone. ``0.0.0.0`` and ``::`` listen on
-        all of its networks.
-    port
-        Port, from 0 to 65535.
-    device
-        Device whose images are meant; empty for any.
+    ``0.0.0.0`` and ``::`` listen on all networks. An empty device stands for any.
     """
 
     scheme: str
