@@ -1,6 +1,5 @@
 """The pages of a command: the site, the console and the world on it."""
 
-import logging
 import os
 import sys
 import webbrowser
@@ -61,7 +60,6 @@ def open_pages(
     person with a desktop sits at the terminal. ConfigurationError if it cannot listen there.
     """
     site = open_site(host)
-    logging.getLogger("drake").addFilter(_is_news)
     meshcat = open_meshcat(site) if world and kept is None else None
     shown: str | None = "world" if world else ""
     if kept is not None:
@@ -102,13 +100,3 @@ def has_desktop() -> bool:
     if sys.platform in ("darwin", "win32"):
         return True
     return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
-
-
-def _is_news(record: logging.LogRecord) -> bool:
-    """Return False for Drake's log records that tell a user nothing new.
-
-    A slow page asks for pictures that newer ones have replaced, and gets these next. Nothing is
-    wrong, and a line for each would break the progress bar. The page's address is printed anyway.
-    """
-    text = record.getMessage()
-    return "Unknown CAS key" not in text and "listening for connections" not in text

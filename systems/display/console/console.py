@@ -2,12 +2,14 @@
 
 import gc
 import time as clock
-from collections.abc import Callable, Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from html import escape
 from typing import TYPE_CHECKING, Any
 
 from sonoservo.systems.display.console.controls import Controls, finite_number
 from sonoservo.systems.display.console.history import Cine, Frame, Strips
+from sonoservo.systems.display.console.probe_view import ProbeView
 from sonoservo.systems.display.console.readings import (
     Sample,
     describe_state,
@@ -26,7 +28,6 @@ Shown = tuple[Volume, NeedleEstimate | None, int, LineHypotheses | None]
 if TYPE_CHECKING:
     from bokeh.document import Document
 
-    from sonoservo.systems.display.console.probe_page import ProbePage
 
 _PERIOD = 0.2
 """Shortest time between two updates of a page, in s."""
@@ -82,7 +83,8 @@ class Console:
         self._views: set[_View] = set()
         self.strips, self.cine = Strips(), Cine()
         self.controls = Controls(self._wake)
-        self._probe = _open_probe(self._site, self._wake) if probe else None
+        self._probe = ProbeView(self._site) if probe else None
+        self._probed: Volume | None = None
         open_bokeh_page(self._site, page="console", title="Console", make=self._open)
 
     @property
@@ -178,13 +180,18 @@ class Console:
         view = _View(self, document)
         self._views.add(view)
         document.on_session_destroyed(lambda context: self._views.discard(view))
+        self._wake()
 
     def _wake(self) -> None:
         self._site.call(self._update)
 
     def _update(self) -> None:
-        if self._probe is not None and isinstance(self._newest, tuple):
-            self._probe.show(*self._newest[:2])
+        if self._probe is not None and self._views and isinstance(self._newest, tuple):
+            volume, estimate, *_ = self._newest
+            if volume is not self._probed:
+                self._probed = volume
+                with collecting_nothing():
+                    self._probe.show(volume, estimate)
         for view in self._views:
             view.wake()
 
@@ -243,15 +250,8 @@ class _View:
         self._push()
 
     def _push(self) -> None:
-        # Drake aborts if a Meshcat is destroyed on a thread other than its own, so garbage must not
-        # be collected on this thread.
-        collects = gc.isenabled()
-        gc.disable()
-        try:
+        with collecting_nothing():
             self._send()
-        finally:
-            if collects:
-                gc.enable()
 
     def _send(self) -> None:
         console, page = self._console, self._page
@@ -326,10 +326,16 @@ class _View:
         self.wake()
 
 
-def _open_probe(site: Site, asked: Callable[[], None]) -> "ProbePage":
-    from sonoservo.systems.display.console.probe_page import ProbePage
-
-    return ProbePage(site, asked)
+@contextmanager
+def collecting_nothing() -> Iterator[None]:
+    """Keep garbage: Drake aborts if a Meshcat of another thread is destroyed on the site's."""
+    collects = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if collects:
+            gc.enable()
 
 
 def picture_volume(

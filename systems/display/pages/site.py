@@ -132,6 +132,8 @@ class Site:
 
     def ask(self, function: Callable[[], T]) -> T:
         """Call a function on the site's thread, and return its result."""
+        if threading.current_thread() is self._thread:
+            return function()
 
         async def answer() -> T:
             return function()
