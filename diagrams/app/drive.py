@@ -32,15 +32,10 @@ from sonoservo.systems.robot.operator_phantom_motion import OperatorPhantomMotio
 if TYPE_CHECKING:
     from sonoservo.systems.display.console.console import Console
 
-_STRIDE = 1 / 16
-"""Time in s between two readings of the buttons: simulated, or real while paused."""
-
-_SAVE_EVERY = 10.0
-"""Simulated time in s after which the driven scenario is saved again."""
-
+_STRIDE = 1 / 16  # Time in s between two readings of the buttons: simulated, or real while paused
+_SAVE_EVERY = 10.0  # Simulated time in s after which the driven scenario is saved again
+# Shortest drive in s that is saved to a file of its own; clicks may follow one another quickly.
 _MIN_TRY = 1.0
-"""Shortest drive in s that is saved to a file of its own; clicks may follow one another quickly."""
-
 DRIVING = """\
 In the page, switch the keys on and press W to push the needle in, S to pull it out; or use the
 sliders. ? lists all keys. Space pauses, and "finish" ends the drive as Ctrl-C does here."""

@@ -19,12 +19,9 @@ INTERRUPTED = 130
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
-_RETRY = 0.01
-"""Time in s until an interruption that was swallowed is raised again."""
-
+_RETRY = 0.01  # Time in s until an interruption that was swallowed is raised again
+# Module of the compiler's callbacks.
 _COMPILER = os.path.join("llvmlite", "binding", "executionengine.py")
-"""Module of the compiler's callbacks."""
-
 _received: list[int] = []
 
 

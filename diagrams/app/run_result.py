@@ -14,8 +14,7 @@ from sonoservo.systems.evaluation.labels import look_up
 from sonoservo.systems.evaluation.reports.report import Story, report_body
 from sonoservo.systems.evaluation.reports.verdict import Verdict
 
-_REASONS = 3
-"""Number of reasons of lost volumes that are shown."""
+_REASONS = 3  # Number of reasons of lost volumes that are shown
 
 
 @dataclass(frozen=True)

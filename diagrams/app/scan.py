@@ -27,8 +27,7 @@ from sonoservo.systems.signals.sweep import Sweep, SweepGeometry, SweepMotion
 from sonoservo.systems.signals.volume import Volume
 from sonoservo.systems.ultrasound.scan_conversion import ScanConversion, make_grid
 
-_INDENTATION = 4e-3
-"""Indentation of the phantom by a dome of 40 mm radius at 2 N, in m."""
+_INDENTATION = 4e-3  # Indentation of the phantom by a dome of 40 mm radius at 2 N, in m
 
 
 @dataclass(frozen=True, eq=False)

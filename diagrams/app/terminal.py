@@ -29,8 +29,8 @@ def end_run(result: RunResult) -> None:
         raise typer.Exit(3)
 
 
+# Columns that a terminal of fewer than 120 characters has no room for.
 _NEEDS_WIDTH = ("ours, estimated", "as published, estimated", "as published, 95 %")
-"""Columns that a terminal of fewer than 120 characters has no room for."""
 
 
 def study_table(study: Study, width: int) -> Table:

@@ -12,18 +12,12 @@ from sonoservo.systems.signals.volume import Volume
 
 Floats = NDArray[np.float64]
 
+# Distance between the samples of a block in m, its edge length in samples, and the largest
+# displacement that is looked for, in samples.
 _PITCH, _KERNEL, _REACH = 0.7e-3, 15, 6
-"""Distance between the samples of a block in m, its edge length in samples, and the largest
-displacement that is looked for, in samples."""
-
-_APART = 14e-3
-"""Distance between the centres of neighbouring blocks, in m."""
-
-_SEEN = 0.98
-"""Share of a search region that must be seen."""
-
-_LEAST_CORRELATION = 0.5
-"""Correlation below which a block counts as changed."""
+_APART = 14e-3  # Distance between the centres of neighbouring blocks, in m
+_SEEN = 0.98  # Share of a search region that must be seen
+_LEAST_CORRELATION = 0.5  # Correlation below which a block counts as changed
 
 
 @dataclass(frozen=True, eq=False)

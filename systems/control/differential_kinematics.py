@@ -56,8 +56,8 @@ class DifferentialKinematicsParameters:
         check_bounds(self)
 
 
+# Highest speed in rad/s at which the axis is corrected, that of the visual servo's rotation.
 _MAX_TILT_SPEED = math.radians(20.0)
-"""Highest speed in rad/s at which the axis is corrected, that of the visual servo's rotation."""
 
 
 def probe_twist(

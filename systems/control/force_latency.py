@@ -8,14 +8,11 @@ from numpy.typing import NDArray
 LONGEST = 0.4
 """Longest latency in s that is measured."""
 
-_MEMORY = 1.0
-"""Time in s over which a measurement is remembered."""
-
+_MEMORY = 1.0  # Time in s over which a measurement is remembered
+# Change of force in N from which on an expected pulse stands out from the sensor's noise.
 _FELT = 0.1
-"""Change of force in N from which on an expected pulse stands out from the sensor's noise."""
-
+# Least share of the measured energy, and largest relative error of the size, of a believed lag.
 _EXPLAINED, _ALIKE = 0.8, 0.4
-"""Least share of the measured energy, and largest relative error of the size, of a believed lag."""
 
 
 def lags(time_step: float) -> int:

@@ -36,9 +36,8 @@ SPACES = {
 }
 """Signs that turn a space's axes into LPS; other spaces are not anatomical."""
 
+# Right-handed spaces whose axes have no anatomical names. They are taken as LPS, with a note.
 _NAMELESS = ("scanner-xyz", "3d-right-handed")
-"""Right-handed spaces whose axes have no anatomical names. They are taken as LPS, with a note."""
-
 FIELDS = {
     **dict.fromkeys(
         (
@@ -105,19 +104,15 @@ _TYPES = {
 }  # fmt: skip
 _CODES = {name: code for code, names in _TYPES.items() for name in names}
 
+# Kinds of axes that may hold red, green, blue and perhaps opacity: ITK calls colours vectors.
 _COLOURS = {
     "rgb-color": 3, "rgba-color": 4, "3-color": 3, "4-color": 4, "vector": 3, "3-vector": 3,
     "4-vector": 4,
 }  # fmt: skip
-"""Kinds of axes that may hold red, green, blue and perhaps opacity: ITK calls colours vectors."""
-
 _AXIS = re.compile(r"axis \d+ (?=index)")
 
-_BLOCK = 1 << 26
-"""Bytes transposed at a time if a file has its list or colours first."""
-
-_SLOWEST = 20.0
-"""Largest time between volumes that is one in s rather than another unit, in s."""
+_BLOCK = 1 << 26  # Bytes transposed at a time if a file has its list or colours first
+_SLOWEST = 20.0  # Largest time between volumes that is one in s rather than another unit, in s
 
 
 def open_nrrd(path: Path, *, frames: bool = False) -> VolumeFile:

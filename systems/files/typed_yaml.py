@@ -22,8 +22,8 @@ from sonoservo.systems.files.yaml_loader import MAX_DEPTH, MAX_LENGTH, Dumper, T
 
 T = TypeVar("T")
 
+# Largest number of bytes that are read of a file: a character has up to four.
 _MAX_BYTES = 4 * MAX_LENGTH
-"""Largest number of bytes that are read of a file: a character has up to four."""
 
 
 def suggest(name: str, known: Iterable[str]) -> str:

@@ -30,18 +30,13 @@ MAX_EXTENT = 1e3
 MAX_POSITION = 1e5
 """Largest distance of a volume or a pose from the origin, in mm."""
 
-_BYTES_PER_VOXEL = 32
-"""Memory that the work on a volume takes for each voxel, in bytes."""
-
+_BYTES_PER_VOXEL = 32  # Memory that the work on a volume takes for each voxel, in bytes
+# Memory for the time, the pose and the fields of a volume in a sequence, in bytes.
 _BYTES_PER_VOLUME = 4000
-"""Memory for the time, the pose and the fields of a volume in a sequence, in bytes."""
-
 MAX_DEFLATED = 1032
 """Highest compression ratio of Deflate."""
 
-_PIECE = 1 << 20
-"""Number of bytes read at a time."""
-
+_PIECE = 1 << 20  # Number of bytes read at a time
 _GZIP = b"\x1f\x8b"
 
 MAX_FILES = 10_000

@@ -13,8 +13,8 @@ from typing import IO, Any
 PARTIAL = ".partial"
 """Suffix of the hidden files that are being written."""
 
+# Beginnings of the paths of open files, which may already hold other output.
 _STREAMS = ("/dev/", "/proc/")
-"""Beginnings of the paths of open files, which may already hold other output."""
 
 
 def write_atomically(path: str | Path, data: bytes | str) -> Path:

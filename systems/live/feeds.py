@@ -40,12 +40,8 @@ FRAME = "Frame"
 TIP, NEEDLE, TISSUE = "TrueTipToReference", "TrueNeedle", "TrueTissueToRef"
 """Device names of the truth; trackers take none that begins with True."""
 
-_TIP_LENGTH = 1e-3
-"""Length in m over which the direction at the true tip is taken."""
-
-_KEEP = 2
-"""Number of large values that wait for a slow receiver; it gets the newest."""
-
+_TIP_LENGTH = 1e-3  # Length in m over which the direction at the true tip is taken
+_KEEP = 2  # Number of large values that wait for a slow receiver; it gets the newest
 _POINTS = 21
 
 

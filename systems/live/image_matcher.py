@@ -20,24 +20,15 @@ from sonoservo.systems.signals.immutable import Immutable, NotFound
 
 DEFAULT_POSES = "ProbeToReference"
 
-_SAME = 1e-6
-"""Time stamps in s that differ by less are the same."""
-
+_SAME = 1e-6  # Time stamps in s that differ by less are the same
+# Time in s that an image waits for its pose; the first one, to see whether there are poses.
 _WAIT, _FIRST_WAIT = 0.15, 0.5
-"""Time in s that an image waits for its pose; the first one, to see whether there are poses."""
-
+# A time stamp in s that jumps further is that of a clock that was set anew.
 _BACKWARDS, _FORWARDS = 1.0, 60.0
-"""A time stamp in s that jumps further is that of a clock that was set anew."""
-
-_APART = 0.5
-"""Difference in s between two clocks that delays of messages do not explain."""
-
+_APART = 0.5  # Difference in s between two clocks that delays of messages do not explain
+# Time in s after which another peer may take the place of one that sends nothing more.
 _SILENT = 2.0
-"""Time in s after which another peer may take the place of one that sends nothing more."""
-
-_ESTABLISHED = 10
-"""Number of images in a row after which the images of other peers are left aside."""
-
+_ESTABLISHED = 10  # Number of images in a row after which the images of other peers are left aside
 _REMEMBERED, _WAITING, _NAMES, _SENDERS = 8, 32, 32, 512
 
 MAX_WAITING = 1 << 29

@@ -8,8 +8,8 @@ from pydrake.math import RigidTransform, RotationMatrix
 from sonoservo.systems.signals.immutable import NotFound
 
 _CAPACITY = 1024
+# Time in s: what lies further back is a clock that was set anew, not a message that was late.
 _JUMP = 1.0
-"""Time in s: what lies further back is a clock that was set anew, not a message that was late."""
 
 
 class PoseHistory:

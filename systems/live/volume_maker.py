@@ -20,8 +20,7 @@ from sonoservo.systems.signals.sweep import DECIBELS_PER_LEVEL
 from sonoservo.systems.signals.volume import Volume
 
 _RIGHT_ANGLE = 1e-3
-_SAME_GRID = 1e-7
-"""Difference in m that comes from single precision."""
+_SAME_GRID = 1e-7  # Difference in m that comes from single precision
 
 
 def grey_scale(dynamic_range_db: float | None) -> float:

@@ -14,9 +14,7 @@ from sonoservo.systems.recording.grey_levels import grey_or_colours
 from sonoservo.systems.recording.pose_table import read_pose_table
 
 _TISSUE = 1
-_CENTIMETRES = 3
-"""Codes of a region of 2D tissue, and of centimetres as its unit."""
-
+_CENTIMETRES = 3  # Codes of a region of 2D tissue, and of centimetres as its unit
 _GREY = ("MONOCHROME1", "MONOCHROME2")
 
 

@@ -11,8 +11,8 @@ from sonoservo.systems.signals.immutable import Immutable
 from sonoservo.systems.signals.requirements import require
 
 _L, _P, _S = np.eye(3)
+# Direction of the sound in LPS: left, right, posterior (back), anterior (front), head, feet.
 _DEPTHS = {"L": _L, "R": -_L, "P": _P, "A": -_P, "S": _S, "I": -_S}
-"""Direction of the sound in LPS: left, right, posterior (back), anterior (front), head, feet."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,27 +13,16 @@ from sonoservo.systems.files.volume_file import VolumeFile
 from sonoservo.systems.signals.immutable import Immutable
 from sonoservo.systems.signals.requirements import require
 
-_MAX_NUMBER = 1e30
-"""Largest magnitude of a number in a file; single precision ends at 3e38."""
-
-_MIN_WIDTH = 1e-30
-"""Smallest width of a window."""
-
-_FAR = 1e4
-"""Distance of a window from zero, in widths, from which double precision is used."""
-
+_MAX_NUMBER = 1e30  # Largest magnitude of a number in a file; single precision ends at 3e38
+_MIN_WIDTH = 1e-30  # Smallest width of a window
+_FAR = 1e4  # Distance of a window from zero, in widths, from which double precision is used
+# Quantile of the numbers in the field of view that replaces a maximum far above it.
 _ALMOST_ALL = 0.999
-"""Quantile of the numbers in the field of view that replaces a maximum far above it."""
 
 
-_REMEMBERED = 8
-"""Number of volumes that share in the choice of a window."""
-
-_OTHER = 1.25
-"""Ratio of the widths of two windows from which they are not the same."""
-
-_LUMINANCE = np.array([0.299, 0.587, 0.114])
-"""Weights of red, green and blue (ITU-R BT.601)."""
+_REMEMBERED = 8  # Number of volumes that share in the choice of a window
+_OTHER = 1.25  # Ratio of the widths of two windows from which they are not the same
+_LUMINANCE = np.array([0.299, 0.587, 0.114])  # Weights of red, green and blue (ITU-R BT.601)
 
 
 def luminance(colours: NDArray[Any]) -> NDArray[Any]:

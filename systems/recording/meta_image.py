@@ -42,9 +42,8 @@ _TYPES = {
 _ORIGIN = ("Offset", "Position", "Origin")
 _DIRECTIONS = ("TransformMatrix", "Rotation", "Orientation")
 _BIG_ENDIAN = ("BinaryDataByteOrderMSB", "ElementByteOrderMSB")
+# Alternative names of each field; the first one present counts.
 _SPACING = ("ElementSpacing", "ElementSize")
-"""Alternative names of each field; the first one present counts."""
-
 FIELDS = {
     **dict.fromkeys(
         (
@@ -70,8 +69,8 @@ FIELDS = {
 
 _MM = {"": 1.0, "?": 1.0, "mm": 1.0, "cm": 10.0, "um": 1e-3, "m": 1e3}
 
+# Largest fourth spacing that is a time between volumes in s rather than in another unit.
 _SLOWEST = 20.0
-"""Largest fourth spacing that is a time between volumes in s rather than in another unit."""
 
 
 def open_meta_image(path: Path, *, frames: bool = False) -> VolumeFile:

@@ -40,18 +40,10 @@ ACQUISITION, TRUTH = ".acquisition.jsonl", ".truth.jsonl"
 FORMAT = 1
 """Format version of both files, stored in their first lines."""
 
-_MAX_POSITION = 1e-3 * MAX_POSITION
-"""Largest coordinate of a pose in m."""
-
-_RIGID = 1e-6
-"""Largest deviation of a rotation matrix from a rotation."""
-
-_MAX_SWEEP = 60.0
-"""Largest time between a frame and the time of its volume, in s."""
-
-_BYTES_PER_BYTE = 10
-"""Memory that a side file takes for each of its bytes."""
-
+_MAX_POSITION = 1e-3 * MAX_POSITION  # Largest coordinate of a pose in m
+_RIGID = 1e-6  # Largest deviation of a rotation matrix from a rotation
+_MAX_SWEEP = 60.0  # Largest time between a frame and the time of its volume, in s
+_BYTES_PER_BYTE = 10  # Memory that a side file takes for each of its bytes
 _RECORDINGS = (SUFFIX, ".seq.nhdr", ".nrrd", ".nhdr", ".mha", ".mhd")
 
 

@@ -20,8 +20,8 @@ from sonoservo.systems.recording.grey_levels import (
 from sonoservo.systems.recording.transform_chain import TransformChain, find_chain
 from sonoservo.systems.recording.valid_frames import choose_items, frame_times
 
+# Numbers of first frames among which those are that choose the grey levels, and of these.
 _LOOKS, _ENOUGH = 128, 32
-"""Numbers of first frames among which those are that choose the grey levels, and of these."""
 
 
 class TrackedFrames:

@@ -11,9 +11,7 @@ from sonoservo.systems.files.volume_file import HoldsFramesError, VolumeFile, ch
 from sonoservo.systems.recording.extras import require_extra
 from sonoservo.systems.recording.plus_configuration import read_calibration
 
-_RATE = 20.0
-"""Frames per second at which all of them were recorded, in Hz."""
-
+_RATE = 20.0  # Frames per second at which all of them were recorded, in Hz
 _CALIBRATION = "calib_matrix.csv"
 
 

@@ -17,8 +17,7 @@ from sonoservo.systems.signals.immutable import Immutable
 MAX_TIME = 1e11
 """Largest time in s; the seconds since 1970 are a hundredth of it."""
 
-_MIN_STEP = 1e-6
-"""Smallest time between two volumes or frames, in s."""
+_MIN_STEP = 1e-6  # Smallest time between two volumes or frames, in s
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,8 +15,8 @@ SUFFIXES = (".hdf5", ".h5")
 
 _MAPS = ("image_sc", "image")
 _RAW = ("raw_data", "aligned_data", "beamformed_data", "envelope_data")
+# Order of the places of the first and last pixels, in m; z is the depth, y the elevation.
 _EXTENT = ("xmin", "xmax", "ymin", "ymax", "zmax", "zmin")
-"""Order of the places of the first and last pixels, in m; z is the depth, y the elevation."""
 
 
 def open_zea(path: Path, *, frames: bool = False) -> VolumeFile:

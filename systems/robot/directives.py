@@ -15,6 +15,7 @@ from sonoservo.models import model_path
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.robot.stl_meshes import without_stl
 
+# Kinds of directives and their required fields, without which Drake aborts the process.
 _WANTED = {
     "add_model": ("file", "name"),
     "add_model_instance": ("name",),
@@ -23,7 +24,6 @@ _WANTED = {
     "add_collision_filter_group": ("name",),
     "add_directives": ("file",),
 }
-"""Kinds of directives and their required fields, without which Drake aborts the process."""
 
 
 def resolve_files(

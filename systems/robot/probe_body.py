@@ -31,12 +31,8 @@ from pydrake.systems.framework import DiagramBuilder
 from sonoservo.systems.robot.directives import add_directives
 from sonoservo.systems.signals.requirements import Positive, check_bounds, require
 
-_FLAT = 1.0
-"""Radius of curvature in m from which a face counts as flat."""
-
-_MARGIN = 5e-3
-"""Assumed width and depth in m of the housing's rim around a flat array."""
-
+_FLAT = 1.0  # Radius of curvature in m from which a face counts as flat
+_MARGIN = 5e-3  # Assumed width and depth in m of the housing's rim around a flat array
 _DOME_COLOUR, _HOUSING_COLOUR = (0.20, 0.22, 0.25, 1.0), (0.85, 0.87, 0.88, 1.0)
 
 

@@ -22,8 +22,7 @@ from sonoservo.systems.evaluation.run_errors import estimate_errors
 from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.files.refusals import ConfigurationError
 
-_TOLERANCE = 1.0
-"""Time in s before the first and after the last kept volume that is still accepted."""
+_TOLERANCE = 1.0  # Time in s before the first and after the last kept volume that is still accepted
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,14 +27,12 @@ from sonoservo.systems.evaluation.reports.report import Story, save_replay, writ
 from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
 from sonoservo.systems.files.writing import Unwritten, write_atomically, write_json
 
-_SAVE_EVERY = 10.0
-"""Wall-clock time in s after which the log is saved again during a run."""
-
+_SAVE_EVERY = 10.0  # Wall-clock time in s after which the log is saved again during a run
 PICTURES = "slices.npz"
 """File with the slices through the needle of every volume."""
 
+# Results that do not stay beside those of a newer run.
 _RESULTS = ("summary.json", "log.npz", PICTURES, "report.html", "replay.html")
-"""Results that do not stay beside those of a newer run."""
 
 
 @contextmanager

@@ -31,17 +31,10 @@ from sonoservo.systems.signals.planes import Plane
 if TYPE_CHECKING:
     from sonoservo.systems.display.console.console import Console
 
-_SAMPLING = 1 / 8
-"""Time between samples of the strips, in s."""
-
-_LOOK = 1 / 16
-"""Time between two looks at the console, in s."""
-
-_FASTEST = 8.0
-"""Speed of a replay as fast as possible, as a multiple of real time."""
-
-_DECIBELS = 60.0
-"""Dynamic range of the kept pictures, in dB, unless the run's log says otherwise."""
+_SAMPLING = 1 / 8  # Time between samples of the strips, in s
+_LOOK = 1 / 16  # Time between two looks at the console, in s
+_FASTEST = 8.0  # Speed of a replay as fast as possible, as a multiple of real time
+_DECIBELS = 60.0  # Dynamic range of the kept pictures, in dB, unless the run's log says otherwise
 
 
 @dataclass(frozen=True, eq=False)

@@ -32,11 +32,8 @@ from sonoservo.systems.signals.volume import Volume
 if TYPE_CHECKING:
     from sonoservo.systems.display.console.console import Console
 
-_LOOK = 0.25
-"""Time in s between two checks of the limits."""
-
-_TIMED = 20_000
-"""Maximum number of volumes whose delays enter the summary."""
+_LOOK = 0.25  # Time in s between two checks of the limits
+_TIMED = 20_000  # Maximum number of volumes whose delays enter the summary
 
 
 def live_volumes(source: LiveSource, limits: LiveLimits, say: Callable[[str], None] = print) -> Any:

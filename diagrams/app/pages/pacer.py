@@ -9,8 +9,7 @@ from sonoservo.diagrams.app.pages.real_time import RealTime
 if TYPE_CHECKING:
     from sonoservo.systems.display.console.console import Console
 
-_LOOK = 1 / 32
-"""Time in s between two looks at the console during a pause."""
+_LOOK = 1 / 32  # Time in s between two looks at the console during a pause
 
 
 class Pacer:

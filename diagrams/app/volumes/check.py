@@ -44,15 +44,11 @@ from sonoservo.systems.recording.plus_configuration import read_plus_configurati
 from sonoservo.systems.recording.recording import Recording
 from sonoservo.systems.signals.volume import Volume
 
+# Most volumes, and sweeps of frames, from which errors of the poses are estimated.
 _CALIBRATED, _SWEEPS = 30, 4
-"""Most volumes, and sweeps of frames, from which errors of the poses are estimated."""
-
+# Most images that are kept of a stream, and most devices that are told apart.
 _KEPT, _DEVICES = 24, 32
-"""Most images that are kept of a stream, and most devices that are told apart."""
-
-_ERROR_MM = 2.0
-"""Error of a calibration in mm that shows in a needle's place."""
-
+_ERROR_MM = 2.0  # Error of a calibration in mm that shows in a needle's place
 _LETTERS = ("LR", "PA", "SI")
 _SECONDS = 5.0
 

@@ -32,8 +32,7 @@ from sonoservo.systems.signals.needle_estimate import NeedleEstimate
 if TYPE_CHECKING:
     from sonoservo.systems.display.console.console import Console
 
-_PICTURES = 6
-"""Number of volumes of a recording that the report shows."""
+_PICTURES = 6  # Number of volumes of a recording that the report shows
 
 
 def tracker_parameters(

@@ -29,11 +29,9 @@ if TYPE_CHECKING:
     from bokeh.document import Document
 
 
-_PERIOD = 0.2
-"""Shortest time between two updates of a page, in s."""
-
+_PERIOD = 0.2  # Shortest time between two updates of a page, in s
+# Time in s after which a page that does not say what it has drawn is sent something again.
 _PATIENCE = 10.0
-"""Time in s after which a page that does not say what it has drawn is sent something again."""
 
 
 class Console:

@@ -6,9 +6,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-_DEAD_ZONE = 0.15
-"""Dead zone of a gamepad's sticks, which never rest exactly at zero."""
-
+_DEAD_ZONE = 0.15  # Dead zone of a gamepad's sticks, which never rest exactly at zero
 _DEG = math.radians(1)
 
 SPEEDS = (0.25, 0.5, 1.0, 2.0, 0.0)

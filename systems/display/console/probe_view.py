@@ -18,18 +18,13 @@ from sonoservo.systems.signals.planes import box_edges, sample_sector, slice_pla
 from sonoservo.systems.signals.volume import Volume
 
 _PIXEL = 0.5e-3
-_NEEDLE, _AXIS, _EDGE = 0.9e-3, 0.4e-3, 0.15e-3
-"""Radii of the needle, the axes and the edges, in m."""
-
+_NEEDLE, _AXIS, _EDGE = 0.9e-3, 0.4e-3, 0.15e-3  # Radii of the needle, the axes and the edges, in m
 _AXES = ((0.94, 0.25, 0.25), (0.25, 0.75, 0.38), (0.31, 0.50, 1.0))
-_LENGTH = 0.02
-"""Length of the axes, in m."""
-
+_LENGTH = 0.02  # Length of the axes, in m
+# The depth runs down.
 _R_WP = RotationMatrix(np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]))
-"""The depth runs down."""
-
+# Place of the camera from the volume's centre, in diagonals of the volume.
 _CAMERA, _FIELD_OF_VIEW_DEG = np.array([0.5, -0.98, 0.3]), 60.0
-"""Place of the camera from the volume's centre, in diagonals of the volume."""
 
 
 class ProbeView:

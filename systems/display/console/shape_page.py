@@ -24,9 +24,8 @@ if TYPE_CHECKING:  # a run without a page does not import it
 Floats = NDArray[np.float64]
 
 _POINTS = 41
+# Marks of the world, by the class of their colour in the page, and their words.
 _LEGEND = ("steel needle", "tracking predicted", "force 95 % of it", "cross-section found here")
-"""Marks of the world, by the class of their colour in the page, and their words."""
-
 PATHS = ("depth", "x", "x_low", "x_high", "y", "y_low", "y_high")
 """Columns of the predicted path: depth, and the mean and 95 % of the deflection along X and Y."""
 

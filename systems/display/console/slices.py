@@ -14,19 +14,13 @@ from sonoservo.systems.signals.volume import Volume
 
 Floats = NDArray[np.float64]
 
-_PIXEL = 0.4e-3
-"""Pixel size of the pictures, in m."""
-
-_BESIDE = 2.5e-3
-"""Distance of the overlay from the needle's axis, in m: clear of the echo."""
-
+_PIXEL = 0.4e-3  # Pixel size of the pictures, in m
+_BESIDE = 2.5e-3  # Distance of the overlay from the needle's axis, in m: clear of the echo
 _POINTS = 21
+# Largest distance of a slice from the needle at which the overlay belongs to it, in m.
 _IN_PLANE = 1.5e-3
-"""Largest distance of a slice from the needle at which the overlay belongs to it, in m."""
-
-_NEARBY = 3e-3
-"""Largest distance in m from a slice at which a followed line is drawn in it."""
-
+_NEARBY = 3e-3  # Largest distance in m from a slice at which a followed line is drawn in it
+# Titles and axes of the two slices, without and with a needle.
 _NAMES = (
     (("Lateral plane", ("X", "depth")), ("Elevation plane", ("Z", "depth"))),
     (
@@ -34,7 +28,6 @@ _NAMES = (
         ("Along needle, across beam", ("along needle", "across beam")),
     ),
 )
-"""Titles and axes of the two slices, without and with a needle."""
 
 
 @dataclass(frozen=True)

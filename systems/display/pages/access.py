@@ -8,9 +8,7 @@ from ipaddress import ip_address
 from socket import gethostname
 from urllib.parse import urlsplit
 
-_EVERYWHERE = ("", "*", "0.0.0.0", "::")
-"""Names of all addresses of this machine."""
-
+_EVERYWHERE = ("", "*", "0.0.0.0", "::")  # Names of all addresses of this machine
 _TOKEN = secrets.token_urlsafe(24)
 
 

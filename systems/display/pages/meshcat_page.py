@@ -19,12 +19,10 @@ from sonoservo.systems.display.pages.site import Guarded, Site
 PATIENCE = 20.0
 """Time in s for which a page may leave what it was sent unread before it is disconnected."""
 
+# Paths of Meshcat's server that are passed on.
 _FILES = r"(|index\.html|meshcat\.html|favicon\.ico|download|cas-v1/[0-9a-f]{64})"
-"""Paths of Meshcat's server that are passed on."""
-
 _CHUNK = 65_536
-_PONG = 0x8A
-"""First byte of a WebSocket's answer to a ping (RFC 6455)."""
+_PONG = 0x8A  # First byte of a WebSocket's answer to a ping (RFC 6455)
 
 
 def open_meshcat(

@@ -27,12 +27,8 @@ PORT = 7000
 MAX_MESSAGE = 65_536
 """Maximum size in bytes of a page's message; real ones stay below a kilobyte."""
 
-_PORTS = 100
-"""Number of successive ports that are tried."""
-
-_FAREWELL = 0.05
-"""Time in s for telling open pages that the server stops."""
-
+_PORTS = 100  # Number of successive ports that are tried
+_FAREWELL = 0.05  # Time in s for telling open pages that the server stops
 _REFUSED = """\
 <!DOCTYPE html><meta charset="utf-8"><title>Refused</title>
 <style>body {{ font: 16px sans-serif; max-width: 40em; margin: 15vh auto; }}</style>

@@ -5,8 +5,8 @@ from pydrake.geometry import Meshcat
 
 from sonoservo.systems.display.textured_quads import gltf_mesh
 
+# Number of pictures held, besides those of a replay, for pages that have yet to fetch them.
 _RECENT = 16
-"""Number of pictures held, besides those of a replay, for pages that have yet to fetch them."""
 
 
 class Film:

@@ -11,8 +11,7 @@ from sonoservo.systems.display.world.rod import Rod
 
 _METRE_PER_NEWTON = 0.02
 _RADIUS, _HEAD = 2e-3, 0.012
-_LEAST = 0.05
-"""Smallest force that is drawn, in N."""
+_LEAST = 0.05  # Smallest force that is drawn, in N
 
 
 class ForceArrow:

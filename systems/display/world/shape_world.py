@@ -25,18 +25,13 @@ from sonoservo.systems.signals.sweep import SweepGeometry
 
 _TISSUE, _PROBE = Rgba(0.55, 0.35, 0.30), Rgba(0.85, 0.87, 0.9)
 _LAYERS = ("tissue", "probe", "cross_section", "needle", "predicted", "tube", "slice")
-_ROD = 1.5e-3
-"""Radius of the drawn path in m, above that of the needle, which would hide it."""
+_ROD = 1.5e-3  # Radius of the drawn path in m, above that of the needle, which would hide it
 _SEGMENTS = 20
-_NEEDLE_LENGTH = 0.2
-"""Length of the needles in the paper, in m."""
-_HANDLE, _AHEAD = 0.09, 0.015
-"""Lengths of the drawn probe behind and ahead of its slice, in m."""
-_ROUND = 0.03
-"""Radius in m up to which an array lies around an endocavity probe; others are flat."""
+_NEEDLE_LENGTH = 0.2  # Length of the needles in the paper, in m
+_HANDLE, _AHEAD = 0.09, 0.015  # Lengths of the drawn probe behind and ahead of its slice, in m
+_ROUND = 0.03  # Radius in m up to which an array lies around an endocavity probe; others are flat
 _FIELD_OF_VIEW_DEG = 30.0
-_FILM_PERIOD = 0.2
-"""Smallest time between two pictures kept for the replay, in s."""
+_FILM_PERIOD = 0.2  # Smallest time between two pictures kept for the replay, in s
 
 
 class ShapeWorld:

@@ -46,11 +46,9 @@ _LAYERS = (
     "needle", "estimate", "uncertainty", "sector", "slices", "phase", "force"
 )  # fmt: skip
 _WAITING = "waiting for the first volume"
-_SIGN = 0.35
-"""Largest width of the tracking mode and its reason, in m."""
-
+_SIGN = 0.35  # Largest width of the tracking mode and its reason, in m
+# Distance from the middle of the probe's face to the force's arrow, in m: clear of the housing.
 _BESIDE = 0.045
-"""Distance from the middle of the probe's face to the force's arrow, in m: clear of the housing."""
 
 
 @dataclass(kw_only=True)

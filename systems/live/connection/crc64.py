@@ -4,8 +4,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+# CRC-64/ECMA-182: most significant bit first, starts at 0, nothing is inverted.
 _POLYNOMIAL = 0x42F0E1EBA9EA3693
-"""CRC-64/ECMA-182: most significant bit first, starts at 0, nothing is inverted."""
 
 
 def _make_tables() -> NDArray[np.uint64]:

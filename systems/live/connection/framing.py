@@ -15,22 +15,15 @@ HEADER_SIZE = 58
 MAX_BODY = 1 << 28
 """Most bytes of a body that is kept; a volume of 400 x 400 x 400 float32 numbers fits."""
 
-_MAX_SKIPPED = 1 << 32
-"""Most bytes of a body that is skipped; a header that announces more is none."""
-
+_MAX_SKIPPED = 1 << 32  # Most bytes of a body that is skipped; a header that announces more is none
+# Bytes reserved for a body at first; what is reserved doubles as they arrive.
 _FIRST_PIECE = 1 << 20
-"""Bytes reserved for a body at first; what is reserved doubles as they arrive."""
-
 _HEADER = struct.Struct("> H 12s 20s I I Q Q")
 _EXTENDED = struct.Struct("> H H I I")
-_VERSIONS = (1, 2, 3)
-"""Version 3 is laid out as version 2 is."""
-
-_FRACTION = 1 << 32
-"""The second half of a time stamp counts in these parts of a second."""
-
+_VERSIONS = (1, 2, 3)  # Version 3 is laid out as version 2 is
+_FRACTION = 1 << 32  # The second half of a time stamp counts in these parts of a second
+# Time in s that a message may take, and how many bytes a second prolong it.
 _HEADER_PATIENCE, _SLOWEST = 5.0, 1e6
-"""Time in s that a message may take, and how many bytes a second prolong it."""
 
 
 class FramingError(Exception):

@@ -20,17 +20,12 @@ MAX_HELD = 1 << 29
 """Bytes reserved at most for the unfinished messages of all peers together."""
 
 _MAX_PEERS = 256
-_PIECE = 1 << 18
-"""Bytes that are written at once, and so the most that waits outside of an outbox."""
-
-_HUNG = 30.0
-"""Time in s after which a peer that takes nothing of what waits for it is given up."""
-
+_PIECE = 1 << 18  # Bytes that are written at once, and so the most that waits outside of an outbox
+_HUNG = 30.0  # Time in s after which a peer that takes nothing of what waits for it is given up
 _FIRST_RETRY, _LAST_RETRY, _CONNECTING = 0.1, 2.0, 5.0
 _TICK = 0.25
+# Time in s in which at most so many lines about one host are printed.
 _REPORT_EVERY, _REPORTS = 10.0, 5
-"""Time in s in which at most so many lines about one host are printed."""
-
 _LONGEST_LINE, _SKIPPED = 400, 32
 
 

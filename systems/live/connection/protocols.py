@@ -10,9 +10,8 @@ from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.typed_yaml import suggest
 from sonoservo.systems.live.connection.items import Item
 
+# Modules with what `LiveProtocol` describes, by the scheme of their addresses.
 _PROTOCOLS = {"igtl": "sonoservo.systems.live.connection.open_igt_link"}
-"""Modules with what `LiveProtocol` describes, by the scheme of their addresses."""
-
 _ADDRESS = re.compile(r"(\w+)://(\[[0-9a-fA-F:.]+\]|[^/:\s]*)(?::(\d{1,5}))?(?:/(.{0,20}))?")
 
 
