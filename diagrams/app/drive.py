@@ -11,7 +11,7 @@ from pydrake.geometry import Meshcat
 from pydrake.systems.framework import System
 
 from sonoservo.diagrams.app.kept_runs.kept_run import KeptRun, refusing
-from sonoservo.diagrams.app.pages.real_time import RealTime
+from sonoservo.diagrams.app.pages.pacer import RealTime
 from sonoservo.diagrams.app.run import finish
 from sonoservo.diagrams.app.run_result import RunResult
 from sonoservo.diagrams.experiments.following import FollowingExperiment
@@ -24,8 +24,7 @@ from sonoservo.systems.control.operator_settings import OperatorSettings
 from sonoservo.systems.display.console.controls import operator_controls
 from sonoservo.systems.display.console.operator_panel import OperatorPanel
 from sonoservo.systems.evaluation.log import write_log
-from sonoservo.systems.files.claims import claim_folder
-from sonoservo.systems.files.writing import write_atomically
+from sonoservo.systems.files.writing import claim_folder, write_atomically
 from sonoservo.systems.needle.operator_hand import OperatorHand
 from sonoservo.systems.robot.operator_phantom_motion import OperatorPhantomMotion
 

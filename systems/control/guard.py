@@ -18,6 +18,7 @@ from pydrake.systems.framework import (
     LeafSystem,
 )
 
+from sonoservo.systems.control.differential_kinematics import keeps_limits
 from sonoservo.systems.control.force_latency import lags, next_correlation
 from sonoservo.systems.control.guard_decision import EMPTY, next_memory
 from sonoservo.systems.control.guard_parameters import GuardParameters
@@ -31,7 +32,6 @@ from sonoservo.systems.control.guard_sight import (
     along,
     region,
 )
-from sonoservo.systems.control.joint_limits import keeps_limits
 from sonoservo.systems.signals.guard_status import GuardState, GuardStatus
 from sonoservo.systems.signals.ports import declare_output
 from sonoservo.systems.signals.requirements import require_positive

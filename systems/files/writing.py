@@ -1,14 +1,17 @@
-"""Atomic writing of files."""
+"""Atomic writing of files, and claims of a folder or file for a single writer."""
 
 import errno
+import fcntl
 import json
 import math
 import os
 import tempfile
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any
+
+from sonoservo.systems.files.refusals import ConfigurationError
 
 PARTIAL = ".partial"
 """Suffix of the hidden files that are being written."""
@@ -122,3 +125,37 @@ def to_plain(data: Any) -> Any:
     if isinstance(data, float) and not math.isfinite(data):
         return None
     return data
+
+
+@contextmanager
+def claim_folder(folder: Path | None) -> Iterator[None]:
+    """Keep every other process that claims a folder from writing into it; None claims nothing.
+
+    The folder is made, and a killed writer's partial files removed. The operating system ends the
+    claim with the process. On a file system without locks, nothing is claimed.
+    """
+    if folder is None:
+        yield
+        return
+    make_folder(folder)
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        claim(handle, folder, "another --out")
+        for partial in folder.glob(f".*{PARTIAL}"):
+            with suppress(OSError):
+                partial.unlink()
+        yield
+    finally:
+        os.close(handle)
+
+
+def claim(handle: int, path: Path, other: str) -> None:
+    """Claim an open file until its handle is closed; the error names ``other`` as the way out."""
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        raise ConfigurationError(
+            f"{path}: another run is writing here; wait for its end, or give {other}"
+        ) from error
+    except OSError:
+        return  # a file system without locks

@@ -7,9 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonoservo.systems.files.memory import require_memory
-from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
+from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures, require_extra
 from sonoservo.systems.files.volume_file import HoldsFramesError, VolumeFile, check_layout
-from sonoservo.systems.recording.extras import require_extra
 from sonoservo.systems.recording.grey_levels import grey_or_colours
 from sonoservo.systems.recording.pose_table import read_pose_table
 

@@ -8,8 +8,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.systems.files.claims import claim
-from sonoservo.systems.files.writing import naming, replacing, write_atomically
+from sonoservo.systems.files.writing import claim, naming, replacing, write_atomically
 
 SUFFIX = ".seq.nrrd"
 """Suffix by which 3D Slicer recognises a sequence."""

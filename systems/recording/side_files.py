@@ -16,11 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform
 
-from sonoservo.systems.files.claims import claim
 from sonoservo.systems.files.memory import require_memory
 from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
 from sonoservo.systems.files.volume_file import MAX_POSITION
-from sonoservo.systems.files.writing import naming
+from sonoservo.systems.files.writing import claim, naming
 from sonoservo.systems.recording.sequence_writer import SUFFIX, partial_path
 from sonoservo.systems.recording.valid_frames import check_times, require_homogeneous
 from sonoservo.systems.signals.needle import Needle

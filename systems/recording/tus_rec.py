@@ -6,9 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
+from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures, require_extra
 from sonoservo.systems.files.volume_file import HoldsFramesError, VolumeFile, check_layout
-from sonoservo.systems.recording.extras import require_extra
 from sonoservo.systems.recording.plus_configuration import read_calibration
 
 _RATE = 20.0  # Frames per second at which all of them were recorded, in Hz

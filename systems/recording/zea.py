@@ -6,9 +6,8 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
+from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures, require_extra
 from sonoservo.systems.files.volume_file import SCALE, HoldsFramesError, VolumeFile, check_layout
-from sonoservo.systems.recording.extras import require_extra
 from sonoservo.systems.signals.volume import Volume
 
 SUFFIXES = (".hdf5", ".h5")

@@ -21,8 +21,7 @@ from pydrake.multibody.tree import (
 from sonoservo.systems.files.model_file import model_file, read_once
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.typed_yaml import load_typed, read_yaml
-from sonoservo.systems.robot.directives import add_directives, resolve_files
-from sonoservo.systems.robot.motors import motors
+from sonoservo.systems.robot.directives import add_directives, motors, resolve_files
 from sonoservo.systems.robot.probe_body import AddProbeBody, ProbeBody
 from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
 

@@ -1,4 +1,4 @@
-"""Drake model directives, with errors that name the directive."""
+"""Drake model directives, with errors that name the directive, and the motors of a model."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -10,6 +10,7 @@ from pydrake.multibody.parsing import (
     ProcessModelDirectives,
 )
 from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import JointActuator, ModelInstanceIndex
 
 from sonoservo.models import model_path
 from sonoservo.systems.files.refusals import ConfigurationError
@@ -75,3 +76,10 @@ def add_directives(
         ProcessModelDirectives(ModelDirectives(directives=directives), parser)
     except RuntimeError as error:
         raise ValueError(f"directives: {' '.join(str(error).split())}") from error
+
+
+def motors(plant: MultibodyPlant, instance: ModelInstanceIndex) -> list[JointActuator]:
+    """Return the motors of a model's joints, in the order of their commands."""
+    # Before it is finalized, a plant can list all its actuators but not those of one model.
+    every = [plant.get_joint_actuator(index) for index in plant.GetJointActuatorIndices()]
+    return [motor for motor in every if motor.model_instance() == instance]

@@ -26,7 +26,7 @@ from pydrake.trajectories import Trajectory
 from sonoservo.models import model_path
 from sonoservo.systems.files.model_file import model_file, read_once, read_section
 from sonoservo.systems.files.typed_yaml import load_typed
-from sonoservo.systems.robot.motors import motors
+from sonoservo.systems.robot.directives import motors
 from sonoservo.systems.signals.body_surface import BodySurface
 from sonoservo.systems.signals.requirements import (
     Bounded,

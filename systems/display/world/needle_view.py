@@ -6,7 +6,7 @@ from pydrake.math import RigidTransform, RotationMatrix
 
 from sonoservo.systems.display.colours import HUB, MODE_COLOURS, STEEL, rgba
 from sonoservo.systems.display.shapes import tubes
-from sonoservo.systems.display.world.rod import Rod, Switch
+from sonoservo.systems.display.world.parts import Rod, Switch
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
 

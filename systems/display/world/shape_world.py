@@ -11,10 +11,8 @@ from sonoservo.systems.display.colours import CROSS_SECTION, FORCE, MODE_COLOURS
 from sonoservo.systems.display.shape_view import ShapeSight
 from sonoservo.systems.display.shapes import tubes
 from sonoservo.systems.display.textured_quads import encode_webp, gltf_textured_quads
-from sonoservo.systems.display.world.film import Film
 from sonoservo.systems.display.world.needle_view import NeedleView
-from sonoservo.systems.display.world.rod import Rod
-from sonoservo.systems.display.world.scene import set_scene
+from sonoservo.systems.display.world.parts import Film, Rod, set_scene
 from sonoservo.systems.signals.confidence import RADIUS_95
 from sonoservo.systems.signals.cross_section import CrossSection
 from sonoservo.systems.signals.image_slice import ImageSlice

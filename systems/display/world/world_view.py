@@ -19,12 +19,15 @@ from sonoservo.systems.display.colours import (
 )
 from sonoservo.systems.display.shapes import sector_edges, tubes
 from sonoservo.systems.display.textured_quads import encode_webp, gltf_textured_quads
-from sonoservo.systems.display.world.ellipsoid import EllipsoidView
-from sonoservo.systems.display.world.film import Film
-from sonoservo.systems.display.world.force_arrow import ForceArrow
-from sonoservo.systems.display.world.label import Label
 from sonoservo.systems.display.world.needle_view import EstimateView, NeedleView
-from sonoservo.systems.display.world.scene import facing, set_scene
+from sonoservo.systems.display.world.parts import (
+    EllipsoidView,
+    Film,
+    ForceArrow,
+    Label,
+    facing,
+    set_scene,
+)
 from sonoservo.systems.signals.guard_status import GuardStatus
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle import Needle

@@ -1,7 +1,6 @@
 """The protocols of live connections, and the addresses that name them."""
 
 import re
-from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib import import_module
 from typing import Any, Protocol, cast
@@ -15,35 +14,13 @@ _PROTOCOLS = {"igtl": "sonoservo.systems.live.connection.open_igt_link"}
 _ADDRESS = re.compile(r"(\w+)://(\[[0-9a-fA-F:.]+\]|[^/:\s]*)(?::(\d{1,5}))?(?:/(.{0,20}))?")
 
 
-class StreamFramer(Protocol):
-    """Cuts the bytes of one connection into messages, as `Framer` does."""
-
-    @property
-    def buffer(self) -> memoryview:
-        """Memory that takes the next bytes."""
-        ...
-
-    @property
-    def held(self) -> int:
-        """Bytes of memory reserved for the message under way."""
-        ...
-
-    def advance(self, count: int, now: float) -> Iterator[Any]:
-        """Take in bytes of the buffer; yield the messages that they complete."""
-        ...
-
-    def is_overdue(self, now: float) -> bool:
-        """Return True if the message under way takes too long."""
-        ...
-
-
 class LiveProtocol(Protocol):
     """Conversion of items to bytes and back."""
 
     DEFAULT_PORT: int
 
-    def make_framer(self) -> StreamFramer:
-        """Return what cuts the bytes of one connection into messages."""
+    def make_framer(self) -> Any:
+        """Return what cuts the bytes of one connection into messages, as `Framer` does."""
         ...
 
     def encode(self, item: Item) -> bytes:

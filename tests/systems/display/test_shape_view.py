@@ -9,7 +9,7 @@ from pydrake.math import RigidTransform
 from sonoservo.systems.display.console.readings import needle_readings
 from sonoservo.systems.display.console.shape_page import ShapePage
 from sonoservo.systems.display.shape_view import ShapeView
-from sonoservo.systems.display.world.rod import Rod
+from sonoservo.systems.display.world.parts import Rod
 from sonoservo.systems.display.world.shape_world import ShapeWorld
 from sonoservo.systems.signals.confidence import RADIUS_95
 from sonoservo.systems.signals.cross_section import CrossSection
