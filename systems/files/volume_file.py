@@ -39,6 +39,24 @@ MAX_DEFLATED = 1032
 _PIECE = 1 << 20  # Number of bytes read at a time
 _GZIP = b"\x1f\x8b"
 
+MILLIMETRES = {
+    **dict.fromkeys(("mm", "millimeter", "millimetre", "millimeters", "", "?", "???"), 1.0),
+    **dict.fromkeys(("um", "\N{MICRO SIGN}m", "micron"), 1e-3),
+    **dict.fromkeys(("m", "meter"), 1e3),
+    "cm": 10.0,
+}
+"""Units of length in headers, in mm; without one, mm are taken."""
+
+SECONDS = {
+    **dict.fromkeys(("s", "sec", "second", "seconds"), 1.0),
+    **dict.fromkeys(("ms", "msec"), 1e-3),
+    **dict.fromkeys(("us", "usec"), 1e-6),
+}
+"""Units of time in headers, in s."""
+
+MAX_STEP = 20.0
+"""Largest time between volumes that is one in s rather than in another unit, in s."""
+
 MAX_FILES = 10_000
 """Largest number of data files that a header may name."""
 
@@ -49,6 +67,14 @@ _FRAME_FIELD = re.compile(r"Seq_Frame(\d{1,9})_(\w+)")
 
 class HoldsFramesError(ConfigurationError):
     """A file was taken to hold volumes, but holds 2D frames."""
+
+
+def require_frames(path: Path, frames: bool, what: str) -> None:
+    """Refuse a file of 2D frames, ``what`` in words, where volumes are expected."""
+    if not frames:
+        raise HoldsFramesError(
+            f"{path}: {what} are 2D frames; make volumes of them with --reconstruct"
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,10 +132,8 @@ def check_layout(
         raise ConfigurationError(f"{path}: {count} volumes of {_times(shape)} voxels: it is empty")
     if frames and (shape[2] != 1 or min(shape[:2]) < 2):
         raise ConfigurationError(f"{path}: {_times(shape)} voxels are not 2D frames")
-    if not frames and min(shape) < 2:
-        raise HoldsFramesError(
-            f"{path}: {_times(shape)} voxels are 2D frames; make volumes of them with --reconstruct"
-        )
+    if min(shape) < 2:
+        require_frames(path, frames, f"{_times(shape)} voxels")
     steps = np.linalg.norm(directions, axis=0)
     if not (np.isfinite(steps) & (steps > 0)).all():
         raise ConfigurationError(f"{path}: voxel spacing {steps.tolist()} mm; it must be above 0")
@@ -248,6 +272,19 @@ class DataSections:
             pieces.append(self._sections[number].read(first, part))
             start, size = start + part, size - part
         return b"".join(pieces)
+
+
+def joined(sections: Sequence[DataSection], size: int) -> DataSection | DataSections:
+    """Return data in one or several files, each with so many bytes."""
+    return sections[0] if len(sections) == 1 else DataSections(sections, size)
+
+
+def number_or_nan(text: str | None) -> float:
+    """Return a number; NaN if a text is none."""
+    try:
+        return float(text) if text else np.nan
+    except ValueError:
+        return np.nan
 
 
 def decode_header(data: bytes) -> str:

@@ -39,6 +39,12 @@ def grey_or_colours(pixels: NDArray[Any]) -> int:
     return 1 if grey or pixels.shape[-1] <= 2 else int(pixels.shape[-1])
 
 
+def as_frame(pixels: NDArray[Any], channels: int) -> NDArray[Any]:
+    """Return an image of so many channels as a volume of one layer, colours along a last axis."""
+    layer = pixels[:, :, np.newaxis]
+    return layer[..., 0] if pixels.ndim == 3 and channels == 1 else layer
+
+
 def require_echoes(file: VolumeFile, colours: bool) -> None:
     """Refuse a file of colours unless a person wants their luminance."""
     if file.channels > 1 and not colours:
