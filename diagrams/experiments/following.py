@@ -189,7 +189,6 @@ class FollowingExperiment(Experiment[FollowingScenario]):
                 path=record,
                 settings=recording_settings(scenario),
                 sweeps=record_sweeps,
-                truth_period=geometry.frame_period,
                 **a_moment_later,
             )
         self._picture_recorder: PictureRecorder | None = None

@@ -210,11 +210,14 @@ class Truth:
         Part of the needle inside the tissue at each time, in W.
     contact_force
         (n,) contact force, in N.
+    poses
+        Pose X_WP of the probe at each time; None in older files.
     """
 
     times: NDArray[np.float64]
     needles: list[Needle]
     contact_force: NDArray[np.float64]
+    poses: list[RigidTransform] | None = None
 
     def at(self, time: float) -> int:
         """Return the number of the sample nearest to a time in s."""
@@ -230,7 +233,11 @@ def read_truth(path: Path) -> Truth:
         check_times(path, times, range(len(times)), "sample")
         radius, force = first["needle_radius"], [line["contact_force"] for line in lines]
         require_within("needle_radius", radius, 1e-5, 1e-2)
-        return Truth(times, [_needle(line["needle"], radius) for line in lines], _forces(force))
+        needles = [_needle(line["needle"], radius) for line in lines]
+        poses = None
+        if "X_WP" in lines[0]:
+            poses = [RigidTransform(_poses(line["X_WP"])) for line in lines]
+        return Truth(times, needles, _forces(force), poses)
 
 
 def _needle(points: Any, radius: float) -> Needle:

@@ -119,17 +119,13 @@ def plot_planes(pictures: list[VolumePictures]) -> Figure:
     return figure
 
 
-def plot_tip(times: Floats, estimates: list[NeedleEstimate], p_LTip: Floats) -> Figure:
-    """Return a figure of the estimated tip in the file's coordinates, and of the needle's length.
+def plot_tip(
+    times: Floats, estimates: list[NeedleEstimate], p_LTip: Floats, in_view: Floats
+) -> Figure:
+    """Return a figure of the estimated tip and of the needle's length over (n,) times in s.
 
-    Parameters
-    ----------
-    times
-        (n,) times of the volumes, in s.
-    estimates
-        Estimate after each volume.
-    p_LTip
-        (n, 3) estimated tips in the file's frame L (LPS), in m; NaN without an estimate.
+    The (n, 3) tips are in the file's frame L (LPS) and the (n,) lengths those that the volumes
+    show, both in m; NaN without an estimate.
     """
     figure = Figure(figsize=(9, 5), layout="constrained")
     tip, length = figure.subplots(2, 1, sharex=True)
@@ -139,9 +135,8 @@ def plot_tip(times: Floats, estimates: list[NeedleEstimate], p_LTip: Floats) -> 
         unsure = np.where(confirmed, np.nan, 1e3 * p_LTip[:, axis])
         tip.plot(times, unsure, "o", color=colour, markersize=4, fillstyle="none")
     tip.set_title("Estimated tip in the file's coordinates (circles: not confirmed)", loc="left")
-    chord = [1e3 * each.curve.chord if each.curve is not None else np.nan for each in estimates]
-    length.plot(times, chord, color=_NEEDLE, linewidth=1.4)
-    length.set_title("Length in view, entry to tip", loc="left")
+    length.plot(times, 1e3 * in_view, color=_NEEDLE, linewidth=1.4)
+    length.set_title("Length in view", loc="left")
     for each in (tip, length):
         each.set_ylabel("mm")
         each.grid(alpha=0.3)

@@ -48,9 +48,12 @@ def test_a_recording_gives_the_estimates_of_the_live_run_exactly(live, tmp_path)
     for name in set(columns) - unknown - {"volume_seen"}:
         there, here = getattr(result.log, name), getattr(seen.log, name)
         np.testing.assert_array_equal(here, there, err_msg=name)
-    for name in ("tip_error_mm", "axis_error_deg"):
-        there = result.summary["tracking"][name]["median"]
-        assert seen.summary["tracking"][name]["median"] == pytest.approx(there, abs=0.05)
+    for block in ("detection", "tracking"):
+        for name, figure in result.summary[block].items():
+            if name.endswith(("_mm", "_deg")) and name != "absent_travel_mm":
+                assert seen.summary[block][name] == pytest.approx(figure, rel=1e-6), name
+    true = seen.log.visible_length[np.searchsorted(seen.log.time, seen.times[-1])]
+    assert seen.in_view[-1] == pytest.approx(true, abs=2e-3)
 
     assert {each.name for each in tmp_path.iterdir()} == {
         "estimates.csv",
