@@ -90,7 +90,7 @@ class MeshcatPage(Guarded, WebSocketHandler):
     """
 
     @property
-    def needs_token(self) -> bool:
+    def needs_token(self) -> bool:  # type: ignore[override]
         """False for a picture, whose name is its hash: who can name it knows it.
 
         A foreign frame, such as a notebook's, has the token in its address only.
