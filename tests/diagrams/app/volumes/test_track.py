@@ -38,7 +38,9 @@ def live(tmp_path_factory):
 
 def test_a_recording_gives_the_estimates_of_the_live_run_exactly(live, tmp_path):
     path, result = live
-    seen = track_recording(Recording(path), out=tmp_path)
+    recording = Recording(path)
+    seen = track_recording(recording, out=tmp_path)
+    assert path.stat().st_size / len(recording) == pytest.approx(1.5e6, rel=0.05)  # as documented
     assert result.summary["tracking"]["tracked"] > 10
     columns = [n for n in vars(type(result.log))["__dataclass_fields__"] if n.startswith("volume_")]
     assert len(columns) > 10
