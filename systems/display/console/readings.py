@@ -88,12 +88,18 @@ def sample_estimate(
     if estimate.curve is None:
         return Sample(time=time, **values)
     values["probability"] = estimate.probability
-    entry, tip = X_WP.inverse().multiply(np.stack([estimate.curve.entry, estimate.curve.tip]).T).T
-    x, z, theta = needle_features(tip, tip - entry).tolist()
     return Sample(
-        time=time, x=1e3 * x, z=1e3 * z, theta=math.degrees(theta), depth=1e3 * float(tip[1]),
-        **values,
-    )  # fmt: skip
+        time=time, **needle_place(estimate.curve.entry, estimate.curve.tip, X_WP), **values
+    )
+
+
+def needle_place(p_WEntry: Floats, p_WTip: Floats, X_WP: RigidTransform) -> dict[str, float]:
+    """Return features and depth of a needle, seen from the probe, in mm and deg."""
+    entry, tip = X_WP.inverse().multiply(np.stack([p_WEntry, p_WTip]).T).T
+    x, z, theta = needle_features(tip, tip - entry).tolist()
+    return {
+        "x": 1e3 * x, "z": 1e3 * z, "theta": math.degrees(theta), "depth": 1e3 * float(tip[1]),
+    }  # fmt: skip
 
 
 def tip_error(estimate: NeedleEstimate, tips: Sequence[tuple[float, Floats]]) -> float:
