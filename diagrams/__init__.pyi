@@ -18,8 +18,8 @@ from .assembly import load_dome_radius as load_dome_radius
 from .assembly import load_probe_body as load_probe_body
 from .experiments.experiment import Experiment as Experiment
 from .experiments.following import FollowingExperiment as FollowingExperiment
-from .experiments.following_insertion import make_insertion as make_insertion
 from .experiments.following_scenario import FollowingScenario as FollowingScenario
+from .experiments.following_scene import make_insertion as make_insertion
 from .experiments.following_scene import tracker_events as tracker_events
 from .experiments.registry import list_scenarios as list_scenarios
 from .experiments.registry import load_scenario as load_scenario

@@ -46,11 +46,7 @@ class _Scanned(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Acquired:
-    """Sweep without a simulation, with the truth at the time of each frame.
-
-    `sweep`: acquired sweep; `needles`: needles in T, moved by the tissue; `deformations`:
-    deformations of the tissue; None if it does not react.
-    """
+    """Sweep without a simulation, with needles in T and deformations (if any) frame by frame."""
 
     sweep: Sweep
     needles: list[Needle]
@@ -59,32 +55,16 @@ class Acquired:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Scene:
-    """Phantom, needle and scanner, in a simulation (`scanner`) or sweep by sweep (`acquire`).
-
-    Parameters
-    ----------
-    transducer, imaging, parameters
-        Hardware of the probe, settings of the scanner, and its noise and errors.
-    tissue
-        Tissue with the structures beside this needle, and with its speckle.
-    insertion
-        Insertion of the needle.
-    seed
-        Seed of the scanner's noise.
-    reaction
-        Reaction of the tissue to probe and needle.
-    dome_radius
-        Radius of the probe's dome in m, if the tissue reacts.
-    """
+    """Phantom, needle and scanner, in a simulation (`scanner`) or sweep by sweep (`acquire`)."""
 
     transducer: Transducer
     imaging: ImagingParameters
     parameters: ScannerParameters
-    tissue: Tissue
+    tissue: Tissue  # with the structures beside this needle, and its speckle
     insertion: Insertion
-    seed: int
+    seed: int  # of the scanner's noise
     reaction: TissueReactionParameters = field(default_factory=TissueReactionParameters)
-    dome_radius: float = 0.0
+    dome_radius: float = 0.0  # of the probe in m, if the tissue reacts
 
     @classmethod
     def of(
@@ -202,13 +182,6 @@ def MakeReactingTissue(*, hand: System, reaction: TissueReaction) -> Diagram:
         output_ports:
         - needle
         - deformation
-
-    Parameters
-    ----------
-    hand
-        System with the output `needle`, in T as if the tissue were at rest.
-    reaction
-        Reaction of the tissue.
     """
     builder = DiagramBuilder()
     builder.AddNamedSystem("hand", hand)

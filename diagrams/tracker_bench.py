@@ -48,26 +48,19 @@ def MakeTrackerBench(
         - volume
         - X_WP (and the other inputs of the log, `OBSERVED`)
 
-    The tracker reads the volume alone. If it corrects the poses of its volumes, the log holds the
-    probe's measured pose with the hand-eye error taken out. See `RunLogger` for the ports.
+    The tracker reads the volume alone. If it corrects poses, the log holds the probe's measured
+    pose with the hand-eye error taken out.
 
     Parameters
     ----------
-    tracker
-        Tracker with the input volume and the output estimate.
-    observed
-        Inputs of the log.
+    tracker, observed
+        Tracker with the input volume and the output estimate, and the inputs of its log.
     geometry
         Geometry of the sweeps, which bounds the part of the needle in view.
     explain
         Folder of the run that keeps what the tracker looked at around a loss, if any.
     period, offset
         Period and offset in s of the looks for a new estimate: shortly after the tracker's events.
-
-    Raises
-    ------
-    ConfigurationError
-        If the tracker cannot explain what it looked at.
     """
     builder = DiagramBuilder()
     builder.AddNamedSystem("needle_tracker", tracker)
@@ -112,33 +105,23 @@ def log_of(bench: Diagram, context: Context, compute: Mapping[str, Any] | None =
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """A volume as a source hands it over.
-
-    `volume`: next volume; `X_WL`: pose of the frame L in which the source states positions; None
-    for the probe's; `observed`: values of further inputs of the log, by port: truth for comparison
-    only; `read_s`: time that the source needed for the volume, in s.
-    """
+    """A volume as a source hands it over."""
 
     volume: Volume
-    X_WL: RigidTransform | None = None
-    observed: Mapping[str, Any] = field(default_factory=dict)
-    read_s: float = 0.0
+    X_WL: RigidTransform | None = None  # of the source's frame L; None for P
+    observed: Mapping[str, Any] = field(default_factory=dict)  # truth for the log, by port
+    read_s: float = 0.0  # time that the source needed, in s
 
 
 @dataclass(frozen=True, eq=False)
 class Tracked:
-    """A volume that has been tracked, as a sink receives it.
+    """A volume that has been tracked, as a sink receives it."""
 
-    `number`: number of the volume, from 0; `sample`: volume and what its source knows of it;
-    `estimate`: estimate after the volume; `X_WL`: pose of the source's frame L, corrected as the
-    volume's poses are; `track_s`: time that the tracker needed, in s.
-    """
-
-    number: int
+    number: int  # from 0
     sample: Sample
     estimate: NeedleEstimate
-    X_WL: RigidTransform
-    track_s: float
+    X_WL: RigidTransform  # pose of the source's frame L, corrected as the volume's poses are
+    track_s: float  # time that the tracker needed, in s
 
     @property
     def volume(self) -> Volume:
@@ -256,10 +239,7 @@ def track(
     parameters: TrackerParameters | None = None,
     seed: int = 0,
 ) -> Iterator[NeedleEstimate]:
-    """Track a needle through volumes, without a simulation.
-
-    The results are the same as in a simulation that delivers the same volumes. The volumes may be
-    consumed one by one, as they come from a scanner.
+    """Track a needle through volumes, one by one, as in a simulation that delivers the same.
 
     Parameters
     ----------
@@ -273,11 +253,6 @@ def track(
     Returns
     -------
     An iterator over the estimates, one after each volume.
-
-    Raises
-    ------
-    ConfigurationError
-        If an argument is of another type.
     """
     if isinstance(volumes, str | Path):
         raise ConfigurationError(

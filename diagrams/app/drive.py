@@ -15,9 +15,12 @@ from sonoservo.diagrams.app.pages.pacer import RealTime
 from sonoservo.diagrams.app.run import finish
 from sonoservo.diagrams.app.run_result import RunResult
 from sonoservo.diagrams.experiments.following import FollowingExperiment
-from sonoservo.diagrams.experiments.following_insertion import make_insertion, placed_hand
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
-from sonoservo.diagrams.experiments.following_scene import settings_controls
+from sonoservo.diagrams.experiments.following_scene import (
+    make_insertion,
+    placed_hand,
+    settings_controls,
+)
 from sonoservo.diagrams.scenario import Scenario, require_scenario
 from sonoservo.systems.control.controller_schedule import ControllerSchedule
 from sonoservo.systems.control.operator_settings import OperatorSettings

@@ -11,8 +11,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from pydrake.math import RigidTransform
 
-from sonoservo.diagrams.experiments.following_insertion import make_insertion
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
+from sonoservo.diagrams.experiments.following_scene import make_insertion
 from sonoservo.diagrams.experiments.registry import load_scenario
 from sonoservo.diagrams.scenario import Scenario, require_scenario
 from sonoservo.diagrams.scene import Scene

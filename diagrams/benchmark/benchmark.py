@@ -17,10 +17,15 @@ from sonoservo.diagrams.benchmark.entrants import (
     start_tracker,
 )
 from sonoservo.diagrams.benchmark.estimates import Estimated, estimates_text, parse_estimates
-from sonoservo.diagrams.benchmark.scores import FIGURES, judge_sequence, reliability, score
+from sonoservo.diagrams.benchmark.scores import judge_sequence, reliability, score
+from sonoservo.diagrams.benchmark.sequence import (
+    SEQUENCES,
+    VERSION,
+    acquire_sequence,
+    load_suites,
+    sequence_seeds,
+)
 from sonoservo.diagrams.benchmark.sequence import Sequence as Volumes
-from sonoservo.diagrams.benchmark.sequence import acquire_sequence
-from sonoservo.diagrams.benchmark.suites import SEQUENCES, VERSION, load_suites, sequence_seeds
 from sonoservo.diagrams.studies.fingerprint import code_fingerprint, made_with
 from sonoservo.diagrams.studies.runs import run_cases
 from sonoservo.diagrams.studies.study import Case, Executor, Outcome, WithFiles
@@ -30,8 +35,7 @@ from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_estimate import TrackingMode
 
-ALL = "all suites"
-"""Name of the scores over all suites."""
+ALL = "all suites"  # name of the scores over all suites
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -200,8 +204,7 @@ def _summarize(
         for suite in (*suites, ALL):
             own = [each[tracker] for each in records if suite in (ALL, each["suite"])]
             if own:
-                figures = score(own)
-                scores[tracker][suite] = {name: figures[name].plain() for name in FIGURES}
+                scores[tracker][suite] = score(own)
     return {
         "version": VERSION,
         "salt": options.salt,

@@ -31,24 +31,7 @@ def sequence_name(suite: str, seed: int) -> str:
 
 
 def resolve_entrant(text: str, sequences: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what a case needs to know of a tracker, in types that JSON has.
-
-    Parameters
-    ----------
-    text
-        Kind of one of the `TRACKERS`, ``brightest_line``, ``module:factory``, or a folder.
-    sequences
-        Names of the sequences, of which the tables of a folder are read.
-
-    Returns
-    -------
-    `name`, and one of `kind`, `factory` (with the digest of its file as `code`) and `tables`.
-
-    Raises
-    ------
-    ConfigurationError
-        If there is no such tracker, or a table is not valid.
-    """
+    """Return what a case needs of a tracker: kind, module:factory with its digest, or tables."""
     kinds = {each.kind for each in TRACKERS}
     if text in kinds:
         return {"name": text, "kind": text}
@@ -82,13 +65,7 @@ def resolve_entrant(text: str, sequences: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def load_factory(text: str) -> Callable[[], Any]:
-    """Return the factory that ``module:factory`` names; modules of this folder count, too.
-
-    Raises
-    ------
-    ConfigurationError
-        If it cannot be imported, or is not to be called.
-    """
+    """Return the factory that ``module:factory`` names; modules of this folder count, too."""
     module, _, name = text.partition(":")
     if "" not in sys.path:
         sys.path.insert(0, "")
@@ -103,11 +80,7 @@ def load_factory(text: str) -> Callable[[], Any]:
 
 
 def start_tracker(entrant: Mapping[str, Any], seed: int) -> Step:
-    """Return a function from the next volume to the estimate after it.
-
-    A factory returns such a function, or a Drake system with the ports of a tracker, whose update
-    is forced once a volume.
-    """
+    """Return a function from the next volume to the estimate after it, made once a sequence."""
     if "kind" in entrant:
         kind = next(each for each in TRACKERS if each.kind == entrant["kind"])
         made: Any = MakeNeedleTracker(parameters=kind(), period=1.0, seed=seed)

@@ -32,34 +32,16 @@ OPTIONAL = ("estimate_time_s", "mode", "probability", *_COVARIANCE, "process_ms"
 
 @dataclass(frozen=True, eq=False)
 class Estimated:
-    """A tracker's estimate after one volume, in the volume's frame; falsy without a needle.
+    """A tracker's estimate after one volume, in the volume's frame; falsy without a needle."""
 
-    Parameters
-    ----------
-    volume
-        Number of the volume in its file, from 0.
-    tip, entry
-        (3,) ends of the needle in P at the volume's time, in m; NaN without a needle.
-    mode
-        Stage of tracking; a needle counts as found only while it is "tracking".
-    time
-        Time for which the estimate holds, in s; None for the volume's.
-    probability
-        Stated probability that it is a needle; None if none is stated.
-    covariance
-        (3, 3) stated covariance of the tip in P, in m^2; None if none is stated.
-    process_ms
-        Time of a processor that the volume took, in ms; None if it is not known.
-    """
-
-    volume: int
-    tip: Floats
-    entry: Floats
-    mode: str
-    time: float | None = None
-    probability: float | None = None
-    covariance: Floats | None = None
-    process_ms: float | None = None
+    volume: int  # number in its file, from 0
+    tip: Floats  # (3,) in P at the volume's time, in m; NaN without a needle
+    entry: Floats  # (3,) other end, in P, in m
+    mode: str  # found only while it is "tracking"
+    time: float | None = None  # for which it holds, in s; None for the volume's
+    probability: float | None = None  # stated, that it is a needle
+    covariance: Floats | None = None  # (3, 3) stated, of the tip in P, in m^2
+    process_ms: float | None = None  # processor time of the volume
 
     def __bool__(self) -> bool:
         return bool(np.isfinite(self.tip).all() and np.isfinite(self.entry).all())
@@ -114,13 +96,7 @@ def estimates_text(rows: Sequence[Estimated]) -> str:
 
 
 def parse_estimates(text: str, source: object) -> list[Estimated]:
-    """Return the rows of a table of estimates.
-
-    Raises
-    ------
-    ConfigurationError
-        If a column is missing or a cell is not allowed; the message names ``source``, row and cell.
-    """
+    """Return the rows of a table of estimates; ``source`` names it in messages."""
     reader = csv.DictReader(io.StringIO(text))
     if missing := [name for name in REQUIRED if name not in (reader.fieldnames or ())]:
         raise ConfigurationError(f"{source}: the columns {', '.join(missing)} are missing")
@@ -169,13 +145,7 @@ def _parse(row: dict[str, str], where: str) -> Estimated:
 
 
 def read_estimates(folder: Path, name: str) -> list[Estimated]:
-    """Return the table ``NAME.csv`` of a folder; no rows if there is none.
-
-    Raises
-    ------
-    ConfigurationError
-        If it is not valid; the message says where.
-    """
+    """Return the table ``NAME.csv`` of a folder; no rows if there is none."""
     path = folder / f"{name}.csv"
     try:
         return parse_estimates(path.read_text(encoding="utf-8-sig"), path)
@@ -188,17 +158,7 @@ def read_estimates(folder: Path, name: str) -> list[Estimated]:
 def log_of_estimates(
     truth: RunLog, volumes: Sequence[tuple[float, RigidTransform]], rows: Sequence[Estimated]
 ) -> RunLog:
-    """Return the log of a run with a tracker's estimates beside its truth.
-
-    Parameters
-    ----------
-    truth
-        Log without estimates.
-    volumes
-        Time in s and measured pose X_WP of each volume.
-    rows
-        Estimates; a volume without one counts as not found.
-    """
+    """Return a log without estimates with a tracker's beside it; none counts as not found."""
     by_volume = {each.volume: each for each in rows}
     kept: list[dict[str, Any]] = []
     for number, (time, X_WP) in enumerate(volumes):

@@ -12,8 +12,7 @@ import numpy as np
 
 from sonoservo.diagrams.benchmark.benchmark import BenchmarkOptions
 from sonoservo.diagrams.benchmark.entrants import sequence_name
-from sonoservo.diagrams.benchmark.sequence import Sequence, acquire_sequence
-from sonoservo.diagrams.benchmark.suites import VERSION, load_suites
+from sonoservo.diagrams.benchmark.sequence import VERSION, Sequence, acquire_sequence, load_suites
 from sonoservo.diagrams.studies.fingerprint import made_with
 from sonoservo.diagrams.studies.runs import run_cases
 from sonoservo.diagrams.studies.store import Store, absolute
@@ -27,8 +26,7 @@ from sonoservo.systems.recording.zea import ZeaWriter
 FORMATS = ("nrrd", "zea")
 """Formats of the volumes: ``NAME.seq.nrrd`` with side files, and ``NAME.hdf5`` of zea."""
 
-_FORCE = 2.0
-"""Contact force in N that the planned indentation stands for."""
+_FORCE = 2.0  # contact force in N that the planned indentation stands for
 
 
 def make_volumes(

@@ -10,14 +10,13 @@ from matplotlib.figure import Figure
 from sonoservo.diagrams.benchmark.benchmark import ALL, BenchmarkResult
 from sonoservo.diagrams.benchmark.entrants import sequence_name
 from sonoservo.diagrams.benchmark.scores import FIGURES
-from sonoservo.diagrams.benchmark.suites import load_suites
+from sonoservo.diagrams.benchmark.sequence import load_suites
 from sonoservo.systems.evaluation.reports.plots import png
-from sonoservo.systems.evaluation.reports.web_page import picture, web_page
+from sonoservo.systems.evaluation.reports.report import picture, web_page
 from sonoservo.systems.evaluation.table import Table
 from sonoservo.systems.files.writing import write_atomically, write_json
 
-_WORST = 4
-"""Number of a tracker's worst sequences that the page shows."""
+_WORST = 4  # number of a tracker's worst sequences that the page shows
 
 _CAPTION = (
     "Share of needles among estimates of a stated probability, with 95 % intervals that take the "
@@ -26,17 +25,7 @@ _CAPTION = (
 
 
 def write_benchmark(result: BenchmarkResult, folder: Path, command: str) -> None:
-    """Write benchmark.json, benchmark.md and report.html.
-
-    Parameters
-    ----------
-    result
-        Results, whose pictures lie in the folder ``cases`` of ``folder``.
-    folder
-        Folder of the files.
-    command
-        Command that repeats the benchmark.
-    """
+    """Write benchmark.json, benchmark.md and report.html, with the command that repeats it."""
     data = result.data
     write_json(folder / "benchmark.json", data)
     write_atomically(folder / "benchmark.md", benchmark_markdown(data))

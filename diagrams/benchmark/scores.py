@@ -1,7 +1,7 @@
 """Scores of a tracker: what became of its sequences, and figures with intervals over them."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -11,16 +11,17 @@ from pydrake.math import RigidTransform
 
 from sonoservo.diagrams.benchmark.estimates import Estimated, log_of_estimates
 from sonoservo.diagrams.studies.robustness.runs import as_in_probe
-from sonoservo.diagrams.studies.robustness.stated_doubt import inside_stated
+from sonoservo.diagrams.studies.run_group import RunGroup, Value, pooled, quantile_of
+from sonoservo.diagrams.studies.study_report import interval_text
 from sonoservo.systems.evaluation.intervals import (
-    Interval,
     count_interval,
     proportion_interval,
-    run_interval,
 )
 from sonoservo.systems.evaluation.metrics import MetricsParameters, detection
+from sonoservo.systems.evaluation.run_errors import inside_stated
 from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.evaluation.success import ENOUGH_MM, TrackedVolumes, from_needle
+from sonoservo.systems.evaluation.table import cell_text
 from sonoservo.systems.signals.needle_estimate import TrackingMode
 
 Floats = NDArray[np.float64]
@@ -40,26 +41,11 @@ def judge_sequence(
 ) -> dict[str, Any]:
     """Return the record of a tracker in a sequence, in types that JSON has.
 
-    Errors are those in the probe's frame, so that errors of the measured pose itself do not count.
-    While the probe is lifted there is no needle to be seen.
-
-    Parameters
-    ----------
-    truth, lifted
-        Truth of the sequence, and the times in s of its forced loss.
-    volumes
-        Time in s and measured pose of each volume.
-    rows
-        Estimates of the tracker.
-
-    Returns
-    -------
-    `tip_mm`, `axis_deg`: errors of the volumes with enough of the needle to be seen, None where the
-    right one is not tracked; `found`; `delay_s`, from the first such volume to the first in which
-    it is tracked; `kept`, the volumes from then on, right or not; `false_finds`; `seconds`;
-    `reacquired`, None if there was nothing to lose; `stated`, pairs of a stated probability and
-    whether there was the needle; `inside`, whether the tip lay inside the stated 95 %; `process_ms`
-    of each volume; `worst`, the number of the volume with the largest error.
+    Errors are those in the probe's frame, and while the probe is lifted there is no needle to see.
+    `tip_mm`, `axis_deg`: of the volumes with enough to be seen, None where the right needle is not
+    tracked; `kept`: whether it is, from the detection on; `delay_s`: from the first such volume to
+    the detection; `stated`: pairs of a stated probability and whether there was the needle;
+    `worst`: number of the volume with the largest error.
     """
     log = as_in_probe(log_of_estimates(truth, volumes, rows))
     judged = TrackedVolumes.of(log)
@@ -103,28 +89,6 @@ def _plain(errors: Floats) -> list[float | None]:
     return [float(each) if np.isfinite(each) else None for each in errors]
 
 
-@dataclass(frozen=True)
-class Score:
-    """A figure with its 95 % interval; None is a figure that nothing tells, or an infinite one.
-
-    Parameters
-    ----------
-    value, low, high
-        Figure and ends of its interval.
-    text
-        What a table shows.
-    """
-
-    value: float | None
-    low: float | None
-    high: float | None
-    text: str
-
-    def plain(self) -> dict[str, Any]:
-        """Return the figure in types that JSON has."""
-        return {"value": self.value, "low": self.low, "high": self.high, "text": self.text}
-
-
 FIGURES: Mapping[str, str] = {
     "found": "found",
     "kept": "kept (%)",
@@ -140,15 +104,21 @@ FIGURES: Mapping[str, str] = {
 """Heads of a table of scores by figure; an error of what is not tracked is infinite."""
 
 
-def score(records: Sequence[Mapping[str, Any]]) -> dict[str, Score]:
-    """Return the `FIGURES` of a tracker's records in some sequences; see `judge_sequence`."""
+def score(records: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
+    """Return the `FIGURES` of a tracker's records in some sequences (`judge_sequence`).
+
+    Each has `value`, `low`, `high` (None if nothing tells it, or it is infinite) and `text`.
+    """
     hours = sum(each["seconds"] for each in records) / 3600
     false = sum(each["false_finds"] for each in records)
-    rate = Interval(*(end / hours for end in count_interval(false))) if hours else Interval(0, 0)
+    rate = [each / hours for each in (false, *count_interval(false))] if hours else 3 * [None]
 
     def values(name: str) -> list[Floats]:
         found = [np.array(each[name], float) for each in records]
         return [np.where(np.isnan(each), np.inf, each) for each in found if len(each)]
+
+    def figure(name: str, statistic: Callable[[Floats], float]) -> dict[str, Any]:
+        return _figure(pooled(values(name), statistic))
 
     delays = [
         np.array([np.inf if each["delay_s"] is None else each["delay_s"]])
@@ -156,20 +126,19 @@ def score(records: Sequence[Mapping[str, Any]]) -> dict[str, Score]:
         if each["found"] is not None
     ]
     return {
-        "found": _share([each["found"] for each in records]),
-        "kept": _figure(values("kept"), np.mean, 100),
-        "false_finds_per_hour": Score(
-            false / hours if hours else None, rate.low, rate.high,
-            f"{false / hours:.0f} ({rate.high:.0f})" if hours else "–",
+        "found": _share(records, "found"),
+        "kept": figure("kept", _percent),
+        "false_finds_per_hour": _plain_figure(
+            rate, f"{rate[0]:.0f} ({rate[2]:.0f})" if hours else "–"
         ),
-        "reacquired": _share([each["reacquired"] for each in records]),
-        "tip_mm": _figure(values("tip_mm"), _quantile(0.5)),
-        "tip_p95_mm": _figure(values("tip_mm"), _quantile(0.95)),
-        "axis_deg": _figure(values("axis_deg"), _quantile(0.5)),
-        "delay_s": _figure(delays, _quantile(0.5)),
-        "inside": _figure(values("inside"), np.mean, 100),
-        "process_ms": _figure(values("process_ms"), _quantile(0.5)),
-    }  # fmt: skip
+        "reacquired": _share(records, "reacquired"),
+        "tip_mm": figure("tip_mm", quantile_of(0.5)),
+        "tip_p95_mm": figure("tip_mm", quantile_of(0.95)),
+        "axis_deg": figure("axis_deg", quantile_of(0.5)),
+        "delay_s": _figure(pooled(delays, quantile_of(0.5))),
+        "inside": figure("inside", _percent),
+        "process_ms": figure("process_ms", quantile_of(0.5)),
+    }
 
 
 def reliability(records: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
@@ -193,36 +162,26 @@ def reliability(records: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     return points
 
 
-def _quantile(share: float) -> Callable[[Floats], float]:
-    """Return a statistic that takes a value that was seen, so that infinite ones are allowed."""
-    return lambda values: float(np.quantile(values, share, method="inverted_cdf"))
+def _percent(values: Floats) -> float:
+    return 100 * float(np.mean(values))
 
 
-def _share(outcomes: Sequence[bool | None]) -> Score:
-    counted = [each for each in outcomes if each is not None]
-    if not counted:
-        return Score(None, None, None, "–")
-    right = sum(counted)
-    low, high = proportion_interval(right, len(counted))
-    return Score(right / len(counted), low, high, f"{right} of {len(counted)}")
+def _share(records: Sequence[Mapping[str, Any]], name: str) -> dict[str, Any]:
+    counted = [each[name] for each in records if each[name] is not None]
+    share = RunGroup(counted, len(counted)).share(bool)
+    ends = [None if each is None else each / 100 for each in (share.true, share.low, share.high)]
+    return _plain_figure(ends, f"{sum(counted)} of {len(counted)}" if counted else "–")
 
 
-def _figure(
-    runs: Sequence[Floats], statistic: Callable[[Floats], float], scale: float = 1.0
-) -> Score:
-    if not runs:
-        return Score(None, None, None, "–")
-    value = scale * float(statistic(np.concatenate(runs)))
-    low, high = (scale * end for end in run_interval(runs, statistic))
-    text = _digits(value)
-    if np.isfinite(low) or np.isfinite(high):
-        text += f" ({_digits(low)} to {_digits(high)})"
-    return Score(_known(value), _known(low), _known(high), text)
+def _figure(value: Value) -> dict[str, Any]:
+    ends = interval_text(value.low, value.high)
+    text = cell_text(value.true)
+    return _plain_figure(
+        (value.true, value.low, value.high),
+        f"{text} ({ends})" if ends not in ("", "too few runs") else text,
+    )
 
 
-def _known(value: float) -> float | None:
-    return value if np.isfinite(value) else None
-
-
-def _digits(value: float) -> str:
-    return "∞" if np.isinf(value) else f"{value:.3g}"
+def _plain_figure(figures: Sequence[float | None], text: str) -> dict[str, Any]:
+    known = [None if each is None or not np.isfinite(each) else each for each in figures]
+    return {**dict(zip(("value", "low", "high"), known, strict=True)), "text": text}

@@ -1,7 +1,9 @@
 """Sequence of the benchmark: volumes of a planned motion with a forced loss, and the truth."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
+from importlib.resources import files
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,14 +18,16 @@ from sonoservo.diagrams.experiments.following_scene import (
     observer_events,
 )
 from sonoservo.diagrams.scenario import draw_seeds
-from sonoservo.diagrams.studies.robustness.graded_dials import scenario_of
-from sonoservo.diagrams.studies.robustness.open_loop import MakeMeasuredMotion
-from sonoservo.diagrams.studies.robustness.planned_motion import MotionPlan
+from sonoservo.diagrams.studies.robustness.graded_dials import PLAIN, scenario_of
+from sonoservo.diagrams.studies.robustness.planned_motion import MakeMeasuredMotion, MotionPlan
 from sonoservo.diagrams.wiring import connect_by_name
 from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.evaluation.run_logger import RunLogger
+from sonoservo.systems.files.refusals import ConfigurationError
+from sonoservo.systems.files.typed_yaml import read_yaml, suggest
 from sonoservo.systems.needle.hand import Hand
 from sonoservo.systems.recording.volume_collector import VolumeCollector
+from sonoservo.systems.signals.requirements import require
 from sonoservo.systems.signals.volume import Volume
 
 _BEFORE, _LIFTED, _AFTER = 5.0, 2.0, 4.0
@@ -52,39 +56,17 @@ class LiftedPlan(MotionPlan):
 
 @dataclass(frozen=True, eq=False)
 class Sequence:
-    """Volumes of a sequence, and the truth.
-
-    Parameters
-    ----------
-    volumes
-        Volumes in order of time, with the poses as measured.
-    truth
-        Log of the run without estimates.
-    lifted
-        Times in s between which the probe is lifted.
-    tracker_seed
-        Seed for the random choices of a tracker.
-    needle_radius
-        Radius of the needle, in m.
-    """
+    """Volumes of a sequence in order of time, with the poses as measured, and the truth."""
 
     volumes: list[Volume]
-    truth: RunLog
-    lifted: tuple[float, float]
-    tracker_seed: int
-    needle_radius: float
+    truth: RunLog  # log of the run without estimates
+    lifted: tuple[float, float]  # between which the probe is lifted, in s
+    tracker_seed: int  # for the random choices of a tracker
+    needle_radius: float  # in m
 
 
 def acquire_sequence(settings: Mapping[str, Any], seed: int) -> Sequence:
-    """Simulate a sequence of a suite.
-
-    Parameters
-    ----------
-    settings
-        Settings of the suite; see `Suite.settings`.
-    seed
-        Seed of the sequence, from which all that is random follows.
-    """
+    """Simulate a sequence of a suite, given its `Suite.settings` and a seed."""
     with scenario_of(settings, seed) as scenario:
         return _acquire(scenario)
 
@@ -122,3 +104,58 @@ def _acquire(scenario: FollowingScenario) -> Sequence:
         tracker_seed=draw_seeds(scenario).tracker,
         needle_radius=scene.insertion.needle(0.0).radius,
     )
+
+
+VERSION = 1  # version of the suites; another one means that scores do not compare
+SEQUENCES = 20  # number of sequences in a suite
+_SALTED = 1000  # distance of the seeds of one salt from those of the next
+
+
+@dataclass(frozen=True)
+class Suite:
+    """One difficulty of the benchmark.
+
+    Parameters
+    ----------
+    line
+        Description for a person.
+    scenario
+        Scenario that it changes; for fig. 5 of Chatelain 2013, the changes `PLAIN` come first.
+    changes
+        Assignments in the scenario.
+    phantom, phantom_changes
+        Phantom that replaces the scenario's, and fields of its file.
+    """
+
+    line: str
+    scenario: str = "chatelain2013_fig5"
+    changes: tuple[str, ...] = ()
+    phantom: str = ""
+    phantom_changes: Mapping[str, Any] = field(default_factory=dict)
+
+    def settings(self) -> dict[str, Any]:
+        """Return the settings of a case of this suite; see `scenario_of`."""
+        plain = () if self.scenario == "clinic" else (*PLAIN, "hand.start=2.0")
+        return {
+            "scenario": self.scenario,
+            "changes": [*plain, *self.changes],
+            "phantom": self.phantom,
+            "phantom_changes": dict(self.phantom_changes),
+        }
+
+
+def load_suites(names: Collection[str] = ()) -> dict[str, Suite]:
+    """Return suites by name; all of them if none is named."""
+    path = Path(str(files("sonoservo.diagrams.benchmark"))) / "suites.yaml"
+    known = {name: Suite(**each) for name, each in read_yaml(path).items()}
+    for name in names:
+        if name not in known:
+            raise ConfigurationError(f"unknown suite {name!r}; {suggest(name, known)}")
+    return {name: suite for name, suite in known.items() if not names or name in names}
+
+
+def sequence_seeds(salt: int = 0, count: int = SEQUENCES) -> range:
+    """Return the seeds of a suite's sequences: 0 and up, or 1000 times the salt and up."""
+    require(salt >= 0, "salt", salt, "0 or more")
+    require(1 <= count <= SEQUENCES, "sequences", count, f"from 1 to {SEQUENCES}")
+    return range(_SALTED * salt, _SALTED * salt + count)

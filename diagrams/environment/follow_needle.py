@@ -10,13 +10,20 @@ from pydrake.systems.framework import Context
 
 from sonoservo.diagrams.dials import load_dials
 from sonoservo.diagrams.environment.commanded_velocity import CommandedVelocity
-from sonoservo.diagrams.environment.commands import ActionScale, MakeCommandedSettings
-from sonoservo.diagrams.environment.reward import RewardParameters, reward_terms
+from sonoservo.diagrams.environment.reward import (
+    ActionScale,
+    MakeCommandedSettings,
+    RewardParameters,
+    reward_terms,
+)
 from sonoservo.diagrams.experiments.experiment import INSTANT
 from sonoservo.diagrams.experiments.following import FollowingExperiment
-from sonoservo.diagrams.experiments.following_insertion import make_insertion
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
-from sonoservo.diagrams.experiments.following_scene import planned_sources, tracker_events
+from sonoservo.diagrams.experiments.following_scene import (
+    make_insertion,
+    planned_sources,
+    tracker_events,
+)
 from sonoservo.diagrams.experiments.registry import load_scenario
 from sonoservo.diagrams.scenario import require_scenario
 from sonoservo.systems.control.visual_features import needle_features
@@ -43,14 +50,12 @@ except ModuleNotFoundError as error:
 ENVIRONMENT = "sonoservo/FollowNeedle-v0"
 """Name under which Gymnasium knows the environment, once this module is imported."""
 
-OBSERVATIONS = ("features", "slices", "volume")
-"""Kinds of observations."""
+OBSERVATIONS = ("features", "slices", "volume")  # kinds of observations
 
 FEATURES = ("x", "z", "theta", "v_x", "v_z", "tip_std", "probability", "tracked", "force", "age")
 """Elements of the observation ``features``, in cm, rad, cm/s, N and s."""
 
-_STOPPED = 5.0
-"""Time in s for which the guard must hold the robot before an episode ends."""
+_STOPPED = 5.0  # time in s for which the guard must hold the robot before an episode ends
 
 _LARGEST = np.array([20, 20, 1.6, 30, 30, 20, 1, 1, 60, 60], np.float32)
 

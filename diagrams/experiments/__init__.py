@@ -1,7 +1,4 @@
-"""Experiments (following a needle, predicting its shape), their scenarios and registry.
-
-This room imports the diagrams outside it, but neither `studies`, `papers` nor `app`.
-"""
+"""Experiments (following a needle, predicting its shape), their scenarios and registry."""
 
 from lazy_loader import attach_stub
 

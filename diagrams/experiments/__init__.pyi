@@ -1,7 +1,7 @@
 from .experiment import Experiment as Experiment
 from .following import FollowingExperiment as FollowingExperiment
-from .following_insertion import make_insertion as make_insertion
 from .following_scenario import FollowingScenario as FollowingScenario
+from .following_scene import make_insertion as make_insertion
 from .following_scene import tracker_events as tracker_events
 from .registry import describe_scenarios as describe_scenarios
 from .registry import experiment_class as experiment_class

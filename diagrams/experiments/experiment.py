@@ -18,8 +18,7 @@ from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.ports import DiagramBuilder
 
-INSTANT = 1e-6
-"""Time in s between an event and an observation just before or after it."""
+INSTANT = 1e-6  # time in s between an event and an observation just before or after it
 
 _started_in: list[int] = []
 """Number of the process that has run a simulation, and therefore threads."""
@@ -43,42 +42,24 @@ class Experiment(ABC, Generic[ScenarioT]):
 
         name: (the scenario's)
 
-    Every input of a subsystem is connected to the output of the same name.
+    Every input of a subsystem is connected to the output of the same name. A ValueError names the
+    field with which a scenario cannot be carried out.
 
     Parameters
     ----------
-    scenario
-        Scenario of this experiment.
-    systems
-        Subsystems of the diagram, by name.
+    scenario, systems
+        Scenario, and subsystems of the diagram by name.
     period, offset
-        Period of the volumes or slices and time of the first one, in s, as for the tracker's
-        events.
-    stages
-        Computation of a volume in stages, each timed: name of the stage, and the system and output
-        port that are evaluated just before the event.
-    event
-        Name of the last stage: whatever is computed at the event itself.
+        Period of the volumes or slices and time of the first one, in s.
+    stages, event
+        Timed stages of a volume's computation: name, and system and output port that are evaluated
+        just before the event; and the name of what is computed at the event itself.
     background
         Total time in s so far of a stage's work, for stages that work in the background too.
     clock
         Clock of the stages, in s. The compilation of kernels is not counted.
     optional, sees_truth
         Inputs that need no output, and systems that may see the truth; see `connect_by_name`.
-
-    Attributes
-    ----------
-    scenario_class
-        Class of the scenarios of this experiment.
-    options
-        Options that `make_experiment` may be given.
-    log_class
-        Class of the log.
-
-    Raises
-    ------
-    ValueError
-        If the scenario cannot be carried out; the message names the field.
     """
 
     scenario_class: ClassVar[type[Scenario]]
@@ -223,11 +204,10 @@ class Experiment(ABC, Generic[ScenarioT]):
         self._compiled = self._clock.compiled
 
     def _make_step(self, due: float) -> bool:
-        """Compute the volume or slice and the estimate that are due, and time each stage.
+        """Compute the volume or slice and the estimate that are due; False if there is no new one.
 
-        The ports are evaluated just before the event that needs them, which then finds them in the
-        cache. At the time of the event itself, the plant makes at most one step. If there is
-        nothing new, because a volume was lost or is late, nothing is timed.
+        The ports are evaluated and timed just before the event, which then finds them in the cache;
+        at the event itself, the plant makes at most one step.
         """
         clock, values = [self._clock()], []
         for system, port in self._stages.values():

@@ -9,9 +9,9 @@ from pydrake.geometry import Meshcat
 from pydrake.systems.framework import System
 
 from sonoservo.diagrams.experiments.experiment import Experiment
-from sonoservo.diagrams.experiments.following_insertion import check_followed
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
 from sonoservo.diagrams.experiments.following_scene import (
+    check_followed,
     imaging_systems,
     make_scene,
     observer_events,
@@ -53,45 +53,29 @@ class FollowingExperiment(Experiment[FollowingScenario]):
 
         name: (the scenario's)
 
-    The subsystems are station, scanner, scan_converter, needle_tracker, probe_controller,
-    run_logger, the sources, the observers and, on request, world_view, console_feed,
-    volume_recorder and explanation_recorder.
-
     Parameters
     ----------
     scenario
         Scenario of following.
-    meshcat
-        Meshcat that draws the world, if any.
+    meshcat, console
+        Meshcat that draws the world, and console that shows the run, if any.
     sources
-        Systems that move needle and phantom and set the controller, by name; their outputs are
+        Systems that move needle and phantom and set the controller, by name, with the outputs
         needle, phantom_command, gain and force_target. By default, `planned_sources`.
     tracker
-        System that replaces the scenario's tracker, with the input volume and the output estimate.
-        If it has outputs measurement and detection, they are logged too. `tracker_events` returns
-        the times at which it should look for a volume.
-    console
-        Console that shows the run, if any.
-    film
-        Whether to keep the slices for a replay.
-    record
-        File to which the volumes are recorded, ``NAME.seq.nrrd``, if any. Call `close` at the end.
-    record_sweeps
-        Whether to also record the sweeps.
+        System that replaces the scenario's tracker, with the input volume and the output estimate;
+        outputs measurement and detection are logged too. It looks for volumes at `tracker_events`.
+    film, pictures
+        Whether to keep the slices for a replay, and pictures of the volumes for the report.
+    record, record_sweeps
+        File to which the volumes are recorded, ``NAME.seq.nrrd``, if any, and whether with the
+        sweeps. Call `close` at the end.
     explain
         Folder of the run that keeps what the tracker looked at around a loss, if any.
-    pictures
-        Whether to keep pictures of the volumes, for `key_frames` and `frames`.
     observers
-        Observing systems without outputs, by name, such as senders of a live connection.
-        `observer_events` returns the times at which they should look for a volume.
+        Systems without outputs, by name; they look for a volume at `observer_events`.
     search
         System that moves the probe while no needle is followed; see `MakeProbeController`.
-
-    Raises
-    ------
-    ValueError
-        If the scenario cannot be carried out; the message names the field.
     """
 
     scenario_class = FollowingScenario

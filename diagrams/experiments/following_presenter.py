@@ -7,8 +7,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from sonoservo.diagrams.experiments.following_insertion import placed_hand
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
+from sonoservo.diagrams.experiments.following_scene import placed_hand
 from sonoservo.diagrams.experiments.presenter import Presenter, description, needle_words
 from sonoservo.systems.evaluation.labels import LABELS
 from sonoservo.systems.evaluation.reports.key_frames import plot_key_frames
@@ -25,8 +25,7 @@ from sonoservo.systems.evaluation.reports.verdict import Verdict, following_verd
 from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.needle.insertion_parameters import InsertionParameters, Push
 
-_MANY = 5
-"""Number of pushes or moves from which they are summed up instead of listed."""
+_MANY = 5  # number of pushes or moves from which they are summed up instead of listed
 
 
 class FollowingPresenter(Presenter):

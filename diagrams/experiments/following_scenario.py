@@ -23,8 +23,7 @@ from sonoservo.systems.ultrasound.simulation.reaction.tissue_reaction import (
 )
 from sonoservo.systems.ultrasound.simulation.scanner_parameters import ScannerParameters
 
-_AS_PUBLISHED = "_as_published"
-"""Ending of the kind of a published tracker."""
+_AS_PUBLISHED = "_as_published"  # ending of the kind of a published tracker
 
 _EQ_25 = {
     "gain": 0.8,
@@ -102,10 +101,7 @@ class FollowingScenario(Scenario):
 
     @classmethod
     def as_published(cls, data: Mapping[str, Any]) -> dict[str, Any]:
-        """Return data with a published tracker, and eq. 25 of Chatelain 2013 as the controller.
-
-        The tracker is the published form of the data's own, which is Chatelain's by default.
-        """
+        """Return data with the published form of its tracker, and eq. 25 as the controller."""
         tracker = data.get("tracker", {})
         tracker = {"kind": tracker} if isinstance(tracker, str) else dict(tracker)
         kind = str(tracker.get("kind", Chatelain2013TrackerParameters.kind))

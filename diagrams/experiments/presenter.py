@@ -13,20 +13,7 @@ from sonoservo.systems.needle.insertion_parameters import OUTER_DIAMETER, Insert
 
 
 class Presenter:
-    """Presents the runs of an experiment; a subclass says more than nothing.
-
-    Parameters
-    ----------
-    experiment
-        Experiment, before or after its run.
-
-    Attributes
-    ----------
-    labels
-        Label of each figure of the summary that tables show, by its dotted path.
-    overlay_caption
-        Caption of `overlay`.
-    """
+    """Presents the runs of an experiment; a subclass says more than nothing."""
 
     labels: ClassVar[Mapping[str, str]] = {}
     overlay_caption: ClassVar[str] = ""

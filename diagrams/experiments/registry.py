@@ -1,8 +1,4 @@
-"""Registry of the experiments, and the scenarios that describe them.
-
-A new experiment is a module of this package with a subclass of `Experiment`, one with a subclass
-of `Presenter`, and a line here.
-"""
+"""Registry of the experiments (each a module, its presenter, and a line here) and scenarios."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -57,22 +53,7 @@ def present(experiment: "Experiment[Any]") -> "Presenter":
 
 
 def make_experiment(scenario: "Scenario", **options: Any) -> "Experiment[Any]":
-    """Make the experiment that a scenario describes.
-
-    Parameters
-    ----------
-    scenario
-        Scenario of any experiment.
-    options
-        Arguments of the experiment's class. None and False mean that an option is not requested.
-
-    Raises
-    ------
-    ConfigurationError
-        If the experiment does not have a requested option.
-    ValueError
-        If the scenario cannot be carried out; the message names the field.
-    """
+    """Make the experiment of a scenario; options are its class's arguments, if asked for."""
     kind = experiment_class(scenario.experiment)
     wanted = {
         name: value for name, value in options.items() if value is not None and value is not False

@@ -15,10 +15,7 @@ _HEAD = ("experiment", "name", "description", "published_figures")
 
 
 def base_of(scenario: Scenario) -> tuple[Scenario, str]:
-    """Return the scenario with which another one is compared, and its name in words.
-
-    It is the built-in scenario of the same name or, without one, that of all defaults.
-    """
+    """Return the built-in scenario of that name, or all defaults, and its name in words."""
     if scenario.name in list_scenarios():
         built_in = load_scenario(scenario.name)
         if type(built_in) is type(scenario):

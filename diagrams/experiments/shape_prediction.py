@@ -23,7 +23,7 @@ from sonoservo.systems.display.shape_view import ShapeScreen, ShapeView
 from sonoservo.systems.display.world.shape_world import ShapeWorld
 from sonoservo.systems.evaluation.log import Row
 from sonoservo.systems.evaluation.shape.shape_metrics import ShapeLog, summarize_shape
-from sonoservo.systems.evaluation.shape.shape_pictures import (
+from sonoservo.systems.evaluation.shape.shape_plots import (
     SlicePicture,
     picture_slice,
 )
@@ -53,25 +53,16 @@ class ShapePredictionExperiment(Experiment[ShapePredictionScenario]):
 
         name: (the scenario's)
 
-    The subsystems are hand, probe_stepper, scanner, slice_converter, shape_predictor and, with a
-    Meshcat or a console, shape_view. W and T are the same except for the tissue's shifts. Computing
-    times are processor times of this thread, independent of other load.
+    W and T are the same except for the tissue's shifts. Computing times are processor times.
 
     Parameters
     ----------
     scenario
         Scenario of shape prediction.
-    meshcat
-        Meshcat that draws the run, if any.
-    console
-        Console that shows the run, if any.
+    meshcat, console
+        Meshcat that draws the run, and console that shows it, if any.
     pictures
-        Whether to keep pictures of the slices, for `key_frames` and `frames`.
-
-    Raises
-    ------
-    ValueError
-        If the scenario cannot be carried out; the message names the field.
+        Whether to keep pictures of the slices.
     """
 
     scenario_class = ShapePredictionScenario

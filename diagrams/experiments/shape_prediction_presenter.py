@@ -11,12 +11,13 @@ from sonoservo.diagrams.experiments.presenter import Presenter, description, nee
 from sonoservo.diagrams.experiments.shape_prediction_scenario import ShapePredictionScenario
 from sonoservo.systems.evaluation.reports.verdict import Verdict
 from sonoservo.systems.evaluation.shape.shape_metrics import LABELS, ShapeLog, shape_verdict
-from sonoservo.systems.evaluation.shape.shape_pictures import plot_key_slices, shape_movie_frames
 from sonoservo.systems.evaluation.shape.shape_plots import (
     OVERLAY_CAPTION,
     SHAPE_CAPTION,
+    plot_key_slices,
     plot_shape,
     plot_shape_comparison,
+    shape_movie_frames,
 )
 
 

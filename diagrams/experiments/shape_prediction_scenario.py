@@ -156,9 +156,7 @@ class ShapePredictionScenario(Scenario):
     def as_published(cls, data: Mapping[str, Any]) -> dict[str, Any]:
         """Return data with the printed tracker, guided by the printed particle filter.
 
-        The paper is silent on some points. The best match is interpolated between pixels, whose
-        size it does not give. No match is refused, so the tracker never loses the needle. The
-        size of the template and gamma are those of the data, or else our defaults.
+        Where the paper is silent: matches are interpolated between pixels, and none is refused.
         """
         tracker = {**_PUBLISHED_TRACKER, **data.get("tracker", {})}
         return {**data, "estimator": "published", "tracker": tracker}

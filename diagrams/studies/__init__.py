@@ -1,7 +1,4 @@
-"""Studies over many seeds, their reports, and data sets.
-
-This room imports `diagrams` and `systems`, but neither `papers` nor `app`.
-"""
+"""Studies over many seeds, their reports, and data sets."""
 
 from lazy_loader import attach_stub
 

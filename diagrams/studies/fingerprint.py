@@ -27,15 +27,10 @@ _PACKAGES = ("sonoservo", "drake", "numpy", "scipy", "numba", "llvmlite", "filte
 
 @cache
 def code_fingerprint(*modules: str) -> str:
-    """Return a digest of the code that makes results, and of all data files.
+    """Return a digest of the code that some modules' imports reach, or of all, and of all data.
 
-    Parameters
-    ----------
-    modules
-        Names of the modules that make the results, by which all code counts that their imports
-        reach, except in rooms that only show results (`_SHOWING`). A class that is imported by its
-        name at run time is not reached, so they must import the classes of their experiments.
-        Without names, or if one of them is none of the package's, all code counts.
+    Code that only shows results (`_SHOWING`) does not count. A class imported by its name at run
+    time is not reached, so modules must import the classes of their experiments.
     """
     digest = hashlib.sha256()
     reached = _reached_modules(modules)
@@ -75,11 +70,7 @@ def _reached_modules(modules: Sequence[str]) -> set[str] | None:
 
 @cache
 def made_with() -> Mapping[str, str]:
-    """Return what results depend on beside the code.
-
-    These are the versions of Python and of the `_PACKAGES`, and the set of instructions of which
-    all processors give the same bits.
-    """
+    """Return what results depend on beside the code: versions, and the set of instructions."""
     python = ".".join(platform.python_version_tuple()[:2])
     versions = {name: version(name) for name in _PACKAGES}
     return {"python": python, **versions, "instruction set": _instruction_set()}

@@ -31,18 +31,14 @@ from sonoservo.systems.sampling.libraries import LINEAR_ALGEBRA
 THREADS = (*LINEAR_ALGEBRA, "OMP_NUM_THREADS", "NUMEXPR_NUM_THREADS", "NUMBA_NUM_THREADS")
 """Variables that limit the threads of a case to one."""
 
-_WATCH_PERIOD = 0.2
-"""Time in s between two looks of a process at its parent."""
+_WATCH_PERIOD = 0.2  # time in s between two looks of a process at its parent
 
 
 class Processes:
-    """Executor on the cores of this machine.
+    """Executor on the cores of this machine: a process of one thread for each slot.
 
-    Each slot has a process of its own with one thread, which is replaced after some cases because
-    Drake's Python systems are never freed, and when a case kills it. The slots do not wait for one
-    another.
-
-    `jobs`: number of processes; -1 for one per core, 1 to run the cases in this process.
+    A process is replaced after some cases, because Drake's Python systems are never freed, and when
+    a case kills it. `jobs`: number of processes; -1 for one per core, 1 for this process.
     """
 
     def __init__(self, jobs: int = -1) -> None:
@@ -84,8 +80,8 @@ class Processes:
 class _Slot:
     """A process that runs one case after the other, and its successors.
 
-    A pool's own ``max_tasks_per_child`` may lose count of its processes and wait for ever (CPython
-    issue 115634), and a pool of several cannot tell which case killed a process.
+    A pool's own ``max_tasks_per_child`` may wait for ever (CPython issue 115634), and a pool of
+    several cannot tell which case killed a process.
     """
 
     def __init__(self) -> None:
@@ -144,10 +140,7 @@ def _without_script() -> Iterator[None]:
 
 @contextmanager
 def keeping_ctrl_c() -> Iterator[None]:
-    """Start processes inside that Ctrl-C never reaches, not even while they import.
-
-    This process receives it after the block.
-    """
+    """Start processes inside that Ctrl-C never reaches; this one receives it after the block."""
     ensure_running()  # Python lets Ctrl-C through again when it starts its tracker of resources
     before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
     try:

@@ -20,17 +20,13 @@ from rich.text import Text
 
 from sonoservo.diagrams.studies.study import Case, Executor, Outcome
 
-_PRIOR_S = 15.0
-"""Wall-clock time in s that a case is expected to take before any has ended."""
-
-_PRIOR_WEIGHT = 1.0
-"""Number of ended cases that the expected time counts as."""
+_PRIOR_S = 15.0  # wall-clock time in s that a case is expected to take before any has ended
+_PRIOR_WEIGHT = 1.0  # number of ended cases that the expected time counts as
 
 _PATIENCE = 1.5
 """Expected time of a case that runs, relative to the time for which no case has ended."""
 
-_PERIOD = 1.0
-"""Time in s between two updates of the bar."""
+_PERIOD = 1.0  # time in s between two updates of the bar
 
 
 class TimeLeft:
@@ -88,11 +84,7 @@ def _posterior(prior: float, seconds: float, ended: int) -> float:
 
 
 class StudyProgress:
-    """Progress bar of a study, which also shows lines of text above it.
-
-    `console`: console to show it on, if any; `executor`: executor of the cases; `pending`: cases to
-    run; `known`: outcomes of earlier runs of the study.
-    """
+    """Progress bar of a study, which also shows lines of text above it."""
 
     def __init__(
         self,
@@ -171,11 +163,7 @@ def _duration(seconds: float) -> str:
 
 
 class Heartbeat:
-    """Prints how long something has taken, again and again, unless the console is a terminal.
-
-    `console`: console to print on; `what`: what is being done; `period`: time between two lines, in
-    s.
-    """
+    """Prints every few seconds how long something has taken, unless the console is a terminal."""
 
     def __init__(self, console: Console, what: str, period: float = 5.0) -> None:
         self._console, self._what, self._period = console, what, period

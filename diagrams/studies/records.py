@@ -14,17 +14,12 @@ from sonoservo.diagrams.studies.study import Case, Outcome
 from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
 from sonoservo.systems.files.writing import write_atomically
 
-_DIGITS = 6
-"""Significant digits of the figures that are kept."""
+_DIGITS = 6  # significant digits of the figures that are kept
 
 
 @dataclass(frozen=True)
 class Records:
-    """Records of the runs of a study, and where they come from.
-
-    `command`: command that makes them; `commit`: commit of the program that made them; `version`:
-    version of that program; `outcomes`: outcomes of all cases, failures included.
-    """
+    """Records of the runs of a study, with the command, commit and version that made them."""
 
     command: str
     commit: str
@@ -89,10 +84,7 @@ def _rounded(value: Any) -> Any:
 
 
 def present_commit() -> str:
-    """Return the commit of the checkout the program runs from, or "unknown" outside of one.
-
-    A plus sign is added if tracked files differ from the commit.
-    """
+    """Return the program's commit, with "+" if tracked files differ; "unknown" without git."""
     folder = Path(__file__).resolve().parent
     try:
         commit, changes = (

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from sonoservo.systems.evaluation.intervals import (
     count_interval,
-    mean_interval,
     proportion_interval,
     run_interval,
 )
@@ -21,24 +20,20 @@ RunT = TypeVar("RunT")
 
 @dataclass(frozen=True)
 class Value:
-    """A figure of one method: true, estimated, and the 95 % interval; None if there is none.
-
-    A share in % also has its number of runs.
-    """
+    """A figure of one method: true, estimated, and the 95 % interval; None if there is none."""
 
     true: float | None = None
     estimated: float | None = None
     low: float | None = None
     high: float | None = None
-    share_of: int | None = None
+    share_of: int | None = None  # number of runs of a share in %
 
 
 def pooled(runs: Sequence[Floats], statistic: Callable[[Floats], float]) -> Value:
     """Return a statistic of the values of all runs, (v,) each, with its interval over runs."""
     if not runs:
         return Value()
-    low, high = run_interval(runs, statistic)
-    return Value(statistic(np.concatenate(runs)), low=low, high=high)
+    return Value(statistic(np.concatenate(runs)), None, *run_interval(runs, statistic))
 
 
 def quantile_of(q: float) -> Callable[[Floats], float]:
@@ -56,25 +51,16 @@ class RunGroup(Generic[RunT]):
         self,
         true: Callable[[RunT], float | None],
         estimated: Callable[[RunT], float | None] | None = None,
+        statistic: Callable[[Floats], float] = np.mean,
     ) -> Value:
-        """Return the mean over runs; a failed run has the worst value of the others."""
-        values = self._with_failed(true)
+        """Return the mean over runs, or a statistic; a failed run has the worst of the others."""
+        values, known = (
+            self._with_failed(each) if each else np.zeros(0) for each in (true, estimated)
+        )
         if len(values) == 0:
             return Value()
-        low, high = mean_interval(values)
-        known = self._with_failed(estimated) if estimated else np.zeros(0)
-        mean = float(np.mean(known)) if len(known) else None
-        return Value(float(np.mean(values)), mean, low, high)
-
-    def median(
-        self, true: Callable[[RunT], float | None], estimated: Callable[[RunT], float | None]
-    ) -> Value:
-        """Return the median over runs; a failed run has the worst value of the others."""
-        values = self._with_failed(true)
-        if len(values) == 0:
-            return Value()
-        low, high = run_interval(list(values[:, np.newaxis]), _median)
-        return Value(_median(values), _median(self._with_failed(estimated)), low, high)
+        other = float(statistic(known)) if len(known) else None
+        return Value(float(statistic(values)), other, *run_interval(values, statistic))
 
     def those(self, good: Callable[[RunT], bool]) -> Self:
         """Return the finished runs for which something holds."""
@@ -105,14 +91,9 @@ class RunGroup(Generic[RunT]):
             return Value()
         numbers = [int(number(run)) for run in self.runs]
         count = sum(numbers) + self.failed * max(numbers, default=1)
-        low, high = count_interval(count)
-        return Value(count, low=low, high=high)
+        return Value(count, None, *count_interval(count))
 
     def _with_failed(self, figure: Callable[[RunT], float | None]) -> Floats:
         values = [value for run in self.runs if (value := figure(run)) is not None]
         known = [value for value in values if not np.isnan(value)]
         return np.array([*known, *(self.failed * [max(known, default=np.inf)])], dtype=float)
-
-
-def _median(values: Floats) -> float:
-    return float(np.median(values))

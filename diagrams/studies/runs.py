@@ -31,17 +31,14 @@ def run_cases(
 ) -> list[Outcome]:
     """Run every case that has not been run yet, several at a time.
 
-    Each outcome is written to a file of its own in ``folder`` as soon as it is known. An existing
-    outcome is read instead if the same code (all that the module of ``work`` imports) made it with
-    the same settings, and its files are in the store. The outcomes are the same on this machine and
-    on a cluster.
+    Each outcome is kept in a file of its own. It is read again if the same code (all that the
+    module of ``work`` imports) made it with the same settings, and its files are in the store.
 
     Parameters
     ----------
     work
-        Function that runs a case and returns the result to keep, in types that JSON or NumPy has,
-        or the result `WithFiles`. It must be importable, or a partial of an importable function.
-        Any exception makes the case a failure.
+        Importable function, or a partial of one, that runs a case and returns what to keep. Any
+        exception makes the case a failure.
     cases
         Cases to run, all different.
     folder
@@ -64,8 +61,7 @@ def run_cases(
     ValueError
         If two cases are equal.
     ConfigurationError
-        If another process runs cases in the same folder, or no worker of the cluster has the same
-        package as this process.
+        If another process uses the folder, or no worker of the cluster has the same package.
     ConnectionError
         If the cluster's scheduler is gone; finished outcomes are kept.
     KeyboardInterrupt
@@ -106,10 +102,7 @@ class _Kept:
         return self._folder / f"{case.name}.json"
 
     def write(self, finished: Finished) -> Outcome:
-        """Write a case's files and then its outcome, and return the outcome.
-
-        An outcome that cannot be written still counts, but is computed again the next time.
-        """
+        """Write a case's files, then its outcome; one that cannot be written is made again."""
         outcome, lasting = replace(finished.outcome, made_by=self._made_by), finished.lasting
         try:
             self.store.write(finished.files)
@@ -125,11 +118,7 @@ class _Kept:
         return outcome
 
     def read(self, case: Case) -> Outcome | None:
-        """Read a case's outcome.
-
-        Returns none if there is none by the present code and libraries, it was altered, or one of
-        its files is missing or has another size.
-        """
+        """Read a case's outcome; None unless it is whole, and by the present code and libraries."""
         try:
             kept = json.loads(self._path(case).read_text(encoding="utf-8"))
             intact = kept.pop("sha256") == _digest(kept)

@@ -14,11 +14,9 @@ _FILE = "file://"
 
 @dataclass(frozen=True)
 class Store:
-    """Place for the files of results.
+    """Place for the files of results: a folder, or a URL of fsspec such as ``s3://bucket/needles``.
 
-    `url`: folder, or URL that fsspec understands, such as ``s3://bucket/needles``; `shared`:
-    whether the workers of a cluster write into the store themselves. Otherwise, the files come back
-    to the process that asked for them, which writes them.
+    `shared`: whether the workers of a cluster write into it themselves.
     """
 
     url: str
@@ -29,11 +27,7 @@ class Store:
             self._remote()
 
     def write(self, files: Mapping[str, bytes]) -> None:
-        """Write files atomically: a reader sees a whole file or none.
-
-        On a remote store, all the files appear together when the last one is there, if its file
-        system has transactions.
-        """
+        """Write files atomically; remotely all together, if its file system has transactions."""
         if self._folder is not None:
             for name, data in files.items():
                 write_atomically(self._folder / name, data)

@@ -17,8 +17,7 @@ from sonoservo.systems.signals.requirements import at_least, check_bounds, requi
 CASES_PER_PROCESS = 10
 """Number of cases after which a process is replaced, as Drake leaks some 20 MB per experiment."""
 
-DIED = "its process died"
-"""Error of a case that ends its process."""
+DIED = "its process died"  # error of a case that ends its process
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -138,11 +137,7 @@ class Outcome:
 
 @dataclass(frozen=True)
 class WithFiles:
-    """Result of a case that has files as well.
-
-    `result`: result to keep, in types that JSON or NumPy has; `files`: contents of the files by
-    name, with forward slashes between folders.
-    """
+    """Result of a case, and the contents of its files by name, with forward slashes."""
 
     result: Mapping[str, Any]
     files: Mapping[str, bytes]
@@ -153,15 +148,11 @@ Work = Callable[[Case], Mapping[str, Any] | WithFiles]
 
 @dataclass(frozen=True)
 class Finished:
-    """A case that ended, as an executor hands it back.
-
-    `outcome`: outcome of the case; `files`: contents of those files that are not in the store yet;
-    `lasting`: whether to keep the outcome; otherwise, the case is run again the next time.
-    """
+    """A case that ended, with files not yet in the store."""
 
     outcome: Outcome
     files: Mapping[str, bytes] = field(default_factory=dict)
-    lasting: bool = True
+    lasting: bool = True  # otherwise, the case is run again the next time
 
 
 class Executor(Protocol):
@@ -178,24 +169,11 @@ class Executor(Protocol):
         store: Store,
         notify: Callable[[str], None],
     ) -> Generator[Finished]:
-        """Run cases, and yield each as it ends, in any order.
-
-        When the iterator is closed, cases that still run are ended.
-        """
+        """Run cases, and yield each as it ends, in any order; closing the iterator ends all."""
 
 
 def perform(work: Work, case: Case, store: Store | None = None) -> Finished:
-    """Run a case in this process. Any exception makes it a failure.
-
-    Parameters
-    ----------
-    work
-        Function that runs the case.
-    case
-        Case to run.
-    store
-        Store into which to write the case's files; None to hand them back.
-    """
+    """Run a case in this process. Any exception makes it a failure."""
     started = time.perf_counter()
     result: Mapping[str, Any] = {}
     files: Mapping[str, bytes] = {}

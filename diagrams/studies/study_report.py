@@ -17,12 +17,11 @@ from sonoservo.diagrams.studies.records import present_commit
 from sonoservo.diagrams.studies.study import Outcome
 from sonoservo.systems.evaluation.intervals import proportion_interval
 from sonoservo.systems.evaluation.reports.plots import png
-from sonoservo.systems.evaluation.reports.web_page import web_page
+from sonoservo.systems.evaluation.reports.report import web_page
 from sonoservo.systems.evaluation.table import Strong, Table, cell_text
 from sonoservo.systems.files.writing import write_atomically, write_json
 
-Side = Literal["at most", "at least"]
-"""Side of a target on which a figure must lie."""
+Side = Literal["at most", "at least"]  # side of a target on which a figure must lie
 
 
 class Verdict(StrEnum):
@@ -30,8 +29,7 @@ class Verdict(StrEnum):
 
     MET = "yes"
     NOT_MET = "no"
-    UNDECIDED = "undecided"
-    """The interval crosses the target: more runs would tell."""
+    UNDECIDED = "undecided"  # the interval crosses the target: more runs would tell
     NOT_MEASURED = "not measured"
     """No run gave the figure: it was not asked for, or none got so far."""
 

@@ -1,8 +1,4 @@
-"""Evaluation of a run against ground truth.
-
-This room holds the logs, errors, metrics, plots and reports. It imports `signals`, `control`,
-`ultrasound` and `files`.
-"""
+"""Evaluation of a run against ground truth: logs, errors, metrics, plots and reports."""
 
 from lazy_loader import attach_stub
 

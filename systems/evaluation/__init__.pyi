@@ -1,5 +1,3 @@
-from .conspicuity import conspicuous_length as conspicuous_length
-from .intervals import bootstrap_interval as bootstrap_interval
 from .intervals import proportion_interval as proportion_interval
 from .log import Column as Column
 from .log import Log as Log
@@ -22,5 +20,6 @@ from .shape.shape_metrics import ShapeLog as ShapeLog
 from .shape.shape_metrics import summarize_shape as summarize_shape
 from .shape.shape_plots import plot_shape as plot_shape
 from .success import TrackedVolumes as TrackedVolumes
+from .success import conspicuous_length as conspicuous_length
 from .success import succeeds as succeeds
 from .table import Table as Table

@@ -11,14 +11,7 @@ _COMPILATION = "numba:compile"
 
 
 class CompileFreeClock(Listener):
-    """Clock that stands still while Numba compiles kernels.
-
-    A kernel is compiled once on a machine, by the first run that needs it. That time says nothing
-    about the speed of what is measured. Compilations are noticed inside the context only.
-
-    `clock`: clock that goes on all the time, in s; `compiled`: time spent on compilation so far, in
-    s.
-    """
+    """Clock in s that stands still while Numba compiles kernels, which happens once a machine."""
 
     def __init__(self, clock: Callable[[], float] = time.perf_counter) -> None:
         self._clock = clock

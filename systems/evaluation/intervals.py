@@ -1,7 +1,7 @@
 """95 % confidence intervals of proportions, means and medians over the runs of a study."""
 
 from collections.abc import Callable, Sequence
-from typing import Any, Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 from sonoservo.systems.signals.confidence import squared_distance
 from sonoservo.systems.signals.requirements import require
 
-_RESAMPLES = 2000
-"""Number of resamples of a bootstrap, which fixes its ends to some per cent of its width."""
+Floats = NDArray[np.float64]
 
 
 class Interval(NamedTuple):
@@ -21,18 +20,7 @@ class Interval(NamedTuple):
 
 
 def proportion_interval(successes: int, total: int) -> Interval:
-    """Return the Wilson score interval of a proportion, from 0 to 1.
-
-    Parameters
-    ----------
-    successes, total
-        Number of successes, and of runs; without runs the interval is from 0 to 1.
-
-    Raises
-    ------
-    ValueError
-        If there are more successes than runs, or fewer than none.
-    """
+    """Return the Wilson score interval of a proportion, from 0 to 1; all of it without runs."""
     require(0 <= successes <= total, "successes", successes, f"from 0 to {total}")
     if not total:
         return Interval(0.0, 1.0)
@@ -42,81 +30,36 @@ def proportion_interval(successes: int, total: int) -> Interval:
     return Interval(float(found.low), float(found.high))
 
 
-def bootstrap_interval(
-    values: Sequence[float], statistic: Literal["mean", "median"] = "mean"
-) -> Interval:
-    """Return the bootstrap interval of the mean or the median of independent values.
-
-    For a mean it is the bias-corrected and accelerated interval (Efron 1987). For a median, whose
-    acceleration is undefined, it is the percentile interval. The resamples are the same in every
-    call.
-
-    Parameters
-    ----------
-    values
-        One value for each run; NaN marks a run without one, which does not count.
-    statistic
-        Statistic of which the interval is computed.
-    """
-    known = np.asarray([value for value in values if np.isfinite(value)], dtype=float)
-    if len(known) < 2:
-        return Interval(np.nan, np.nan)
-    if np.ptp(known) == 0:
-        return Interval(float(known[0]), float(known[0]))
-    from scipy.stats import bootstrap
-
-    found = bootstrap(
-        (known,),
-        {"mean": np.mean, "median": np.median}[statistic],
-        n_resamples=_RESAMPLES,
-        method={"mean": "BCa", "median": "percentile"}[statistic],
-        rng=np.random.default_rng(0),
-    ).confidence_interval
-    return Interval(float(found.low), float(found.high))
-
-
 _FEWEST = 6
 """Number of runs below which there is no 95 % interval: the smallest and the largest of n values
 enclose their median with a probability of 1 - 2 / 2^n."""
 
-_RESAMPLES = 399
-"""Number of resamples of a bootstrap."""
-
-UNBOUNDED = Interval(-np.inf, np.inf)
-"""Interval of a figure of which too few runs tell anything."""
+_RESAMPLES = 399  # number of resamples of a bootstrap
+UNBOUNDED = Interval(-np.inf, np.inf)  # interval of a figure of which too few runs tell anything
 
 
 def run_interval(
-    runs: Sequence[NDArray[np.float64]], statistic: Callable[[NDArray[np.float64]], float]
+    runs: Sequence[Floats] | Floats, statistic: Callable[[Floats], float] = np.mean
 ) -> Interval:
-    """Return the bootstrap interval of a statistic of all volumes of all runs.
+    """Return the bootstrap interval of a statistic of runs: of (n,) values, or all volumes of each.
 
-    Whole runs are resampled, as the volumes of one run resemble each other. Values may be infinite.
-    The resamples are the same in every call. Fewer than six runs leave the interval unbounded.
+    Whole runs are resampled, as the volumes of one resemble each other, always in the same way.
+    Values may be infinite. Fewer than six runs leave the interval unbounded.
     """
     if len(runs) < _FEWEST:
         return UNBOUNDED
 
     def figure(numbers: NDArray[np.int64]) -> float:
-        return statistic(np.concatenate([runs[number] for number in numbers]))
+        return statistic(np.concatenate([np.atleast_1d(runs[number]) for number in numbers]))
 
-    return _bootstrapped(np.arange(len(runs)), figure, vectorized=False)
-
-
-def mean_interval(values: NDArray[np.float64]) -> Interval:
-    """Return the bootstrap interval of the mean of (n,) values, one a run; see `run_interval`."""
-    return UNBOUNDED if len(values) < _FEWEST else _bootstrapped(values, np.mean, vectorized=True)
-
-
-def _bootstrapped(values: NDArray[Any], figure: Callable[..., Any], vectorized: bool) -> Interval:
     with np.errstate(invalid="ignore"):  # values may be infinite
         from scipy.stats import bootstrap
 
         found = bootstrap(
-            (values,),
+            (np.arange(len(runs)),),
             figure,
             n_resamples=_RESAMPLES,
-            vectorized=vectorized,
+            vectorized=False,
             method="percentile",
             rng=np.random.default_rng(0),
         )

@@ -17,8 +17,7 @@ from sonoservo.systems.files.refusals import ConfigurationError, refusing_failur
 from sonoservo.systems.files.writing import write_atomically
 from sonoservo.systems.signals.immutable import Immutable
 
-FORMAT = 3
-"""Version of the file format, stored as the array `format`."""
+FORMAT = 3  # version of the file format, stored as the array `format`
 
 Array = NDArray[Any]
 Row = dict[str, Any]
@@ -28,9 +27,8 @@ Row = dict[str, Any]
 class Column:
     """Description of an array of a log.
 
-    `what`: meaning in words; `unit`: unit; empty if there is none; `shape`: extents: a number each,
-    or the letter of an extent that several arrays share; `dtype`: type of the elements: "f8" for
-    numbers, "?" for booleans or "U" for texts.
+    `what`: meaning; `unit`; `shape`: extents, each a number or a letter that arrays share; `dtype`:
+    "f8" for numbers, "?" for booleans or "U" for texts.
     """
 
     what: str
@@ -41,10 +39,9 @@ class Column:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Log(Immutable):
-    """Log of a run: arrays, each described by a `Column`.
+    """Log of a run: arrays with a `Column` each; missing values are NaN or an empty text.
 
-    A subclass annotates each array with its column. A field that is a mapping of arrays is written
-    as one array for each key, named ``<field>_<key>``. Missing values are NaN, or an empty text.
+    A field that is a mapping of arrays is written as one array for each key, ``<field>_<key>``.
     """
 
     def __post_init__(self) -> None:
@@ -169,19 +166,14 @@ def _read(path: Path, arrays: dict[str, Array], log_class: type[LogT]) -> LogT:
     return log_class(**fields)
 
 
-_LOOSE = 256
-"""Number of rows that are kept as they came before they are packed."""
+_LOOSE = 256  # number of rows that are kept as they came before they are packed
 
 
 class LogRows:
     """Rows of a log that can grow for hours: all but the newest are packed into arrays.
 
-    A row as it comes takes about 5 KB, because each of its values is an object; packed, it takes
-    what its numbers need. Of equal texts one is kept.
-
-    `columns`: column of each value that a row may have, by its name; `extents`: extents of the
-    columns' other axes, by their letter; see `stack_rows`; `newest`: newest row; None if there is
-    none.
+    `columns` by name and `extents` by letter as for `stack_rows`. A row as it comes takes about 5
+    KB; packed, it takes what its numbers need. Of equal texts one is kept.
     """
 
     newest: Row | None

@@ -87,12 +87,7 @@ _NO_CONTACT = (
 
 
 def summarize(log: RunLog, parameters: MetricsParameters | None = None) -> dict[str, Any]:
-    """Summarise a run in figures for JSON; a figure without a value is None.
-
-    Returns
-    -------
-    Blocks by name; the functions of this module that compute the blocks document their contents.
-    """
+    """Summarise a run in blocks of figures for JSON, by name; a figure without a value is None."""
     parameters = parameters or MetricsParameters()
     summary: dict[str, Any] = {
         "simulated_s": _number(log.time[-1] if len(log.time) else 0.0),
@@ -112,19 +107,11 @@ def summarize(log: RunLog, parameters: MetricsParameters | None = None) -> dict[
 
 
 def detection(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
-    """Summarise the detection of the needle.
+    """Summarise the detection: the first start of tracking that is not false.
 
-    The detection is the first start of tracking that is not false. A start is false if its tip is
-    more than `start_tolerance` away from the true needle, or if there is no needle. To track a
-    lost needle again is a start too.
-
-    Returns
-    -------
-    `volume`: number of volumes before the one with which tracking began;
-    `inserted_mm`, `visible_mm`: true length inside the tissue and inside the swept sector at that
-    time;
-    `false_starts`: number of false starts in the whole run;
-    `reason`, `advice`: why no needle was found, and what to change; None if one was found.
+    Returns `volume`, number of volumes before it; `inserted_mm`, `visible_mm`, true lengths then;
+    `false_starts` in the whole run, farther than `start_tolerance` from the needle or without one;
+    `reason`, `advice`: why nothing was found, and what to change.
     """
     started, true = _starts(log, parameters)
     right = started[true]
@@ -149,33 +136,15 @@ def detection(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
 
 
 def tracking(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
-    """Summarise the accuracy of tracking over all volumes from the detection on.
+    """Summarise the accuracy of tracking from the detection on, while a needle is in the tissue.
 
-    Volumes are evaluated while there is a needle in the tissue; failures are included. Ground truth
-    is interpolated at the time for which the estimate holds.
-
-    Returns
-    -------
-    `volumes`: number of volumes evaluated;
-    `tracked`: number of these in which the volume itself confirmed the needle (mode tracking);
-    `estimated`: number of these with an estimate, over which the errors are taken;
-    `lost`: number of these not tracked although more than `min_length` of the needle was in view;
-    `lost_events`: number of times that the needle became lost, of which it is none if the needle
-    was being withdrawn until it was out of view;
-    `reasons`: reasons of the volumes of the whole run without an estimate, the most frequent first,
-    each with their number;
-    `absent_s`: time with an estimate, not a lost one, while no needle is in the tissue;
-    `wrong_s`: time with an estimate, not a lost one, that is more than `start_tolerance` away from
-    the needle, or without a needle: something else is taken for it;
-    `absent_travel_mm`: distance that the servo commands the probe to go while there is none;
-    `consistency`: see `consistency`;
-    `tip_error_mm`: distance from the estimated to the true tip in W, which contains the errors of
-    the probe's measured pose;
-    `tip_error_in_probe_mm`: the same in the probe's frame, which does not contain them;
-    `tip_axial_error_mm`, `tip_lateral_error_mm`: its parts along and across the true needle;
-    `axis_error_deg`: angle between the estimated and the true direction (`EstimateErrors`);
-    `tip_axial_bias_mm`: mean of the signed axial part, positive if the estimate lies beyond the
-    true tip. Each error has the keys median, p95 and max.
+    Returns numbers of `volumes`: all, `tracked` (confirmed by the volume), `estimated`, `lost`
+    (untracked with more than `min_length` in view); `lost_events`, unless withdrawn meanwhile;
+    `reasons` of volumes without an estimate; `absent_s`, `wrong_s`: time with an estimate but no
+    needle, or more than `start_tolerance` off; `absent_travel_mm` of the servo without a needle;
+    `consistency`; and errors with median, p95 and max: `tip_error_mm` in W,
+    `tip_error_in_probe_mm`, `tip_axial_error_mm`, `tip_lateral_error_mm`, `axis_error_deg`; and
+    `tip_axial_bias_mm`, positive beyond the true tip.
     """
     judged = judged_volumes(log, parameters)
     time = _estimate_times(log)
@@ -239,12 +208,8 @@ def judged_volumes(log: RunLog, parameters: MetricsParameters) -> Mask:
 def servo(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
     """Return the mean absolute errors of the visual features in P (Chatelain 2013, eq. 23).
 
-    Returns
-    -------
-    `at_rest`: errors of the true needle while it has rested in W for `rest_time` and is tracked;
-    `at_rest_estimated`: errors of the estimate, seen from the measured pose, over the same samples;
-    `moving`: errors of the true needle while it moves and is tracked.
-    Each has the keys x_mm, z_mm, theta_deg and seconds; `seconds` is the time covered.
+    Returns x_mm, z_mm, theta_deg and seconds `at_rest` (true needle, resting in W for `rest_time`
+    and tracked), `at_rest_estimated` (from the measured pose) and `moving`.
     """
     tracked = log.estimate_mode == TrackingMode.TRACKING
     moves = needle_speed(log, parameters.rest_window) >= parameters.rest_speed
@@ -268,14 +233,8 @@ def at_rest(log: RunLog, parameters: MetricsParameters | None = None) -> Mask:
 def force(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
     """Summarise the true contact force.
 
-    Returns
-    -------
-    `touched`: whether there was contact at all; None if the log holds no force, or ends while the
-    probe is on its way to the body;
-    `mean_n`, `rms_error_n`: mean force, and root mean square difference from `force_target` (None
-    if that changes), from `settling_time` after the first contact on;
-    `max_n`: largest sample of the whole run, which the force between samples may exceed;
-    `contact_lost_s`: time without contact after the first contact.
+    Returns `touched` (None without a force, or on the way to the body), `mean_n` and `rms_error_n`
+    from `settling_time` after the first contact on, `max_n` of all samples, `contact_lost_s`.
     """
     value = log.contact_force
     touching = value > parameters.contact_threshold
@@ -307,15 +266,7 @@ def _lands(log: RunLog) -> bool:
 
 
 def guard(log: RunLog) -> dict[str, Any]:
-    """Summarise the interventions of the guard, and the volumes refused before the tracker.
-
-    Returns
-    -------
-    `interventions`, `stopped_s`: how often and how long the guard stopped the robot;
-    `reasons`: the reasons in order, separated by semicolons;
-    `stopped_at_end`: reason for which the robot stands still at the end;
-    `volumes_refused`, `refusal`: number of volumes refused, and the last reason.
-    """
+    """Summarise the interventions of the guard, and the volumes refused before the tracker."""
     stopped = log.guard_reason != ""
     refusals = log.refusal_reason[log.refusal_reason != ""]
     return {

@@ -15,8 +15,7 @@ _IN_VIEW = 5e-3
 def missing_needle(log: RunLog) -> tuple[str, str]:
     """Return why the tracker found no needle, and what to change, each as a sentence or empty.
 
-    The reason is the tracker's most frequent one while the needle could be seen, or in the whole
-    run if it never could. Whether it could is judged with the truth.
+    It is the most frequent reason while the needle could be seen, in truth, or in the whole run.
     """
     reasons = volume_reasons(log)
     if not reasons:

@@ -1,5 +1,6 @@
 """Errors of a run over time, against ground truth."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,11 +22,7 @@ _WINDOW = 0.3
 
 
 def features(X_WP: ArrayLike, p_WTip: ArrayLike, p_WEntry: ArrayLike) -> Floats:
-    """Return the visual features of needles given in W; see `needle_features`.
-
-    Returns (n, 3) array of x and z of the tip in P in m, and of theta in rad; NaN for an unknown
-    needle.
-    """
+    """Return (n, 3) features x, z in m and theta in rad of needles in W; NaN for an unknown one."""
     X_WP, p_WTip = np.asarray(X_WP), np.asarray(p_WTip)
     R_PW = np.swapaxes(X_WP[:, :3, :3], 1, 2)
     tip = np.einsum("nij,nj->ni", R_PW, p_WTip - X_WP[:, :3, 3])
@@ -35,10 +32,7 @@ def features(X_WP: ArrayLike, p_WTip: ArrayLike, p_WEntry: ArrayLike) -> Floats:
 
 
 def needle_speed(log: RunLog, window: float) -> Floats:
-    """Return the speed of the true tip in W, without the hand's tremor.
-
-    Returns (n,) speed in m/s; NaN while the needle is outside the tissue.
-    """
+    """Return the (n,) speed of the true tip in W in m/s, without tremor; NaN outside the tissue."""
     known = is_known(log.needle_tip)
     speed = np.full(len(log.time), np.nan)
     if known.sum() < 2:
@@ -58,31 +52,13 @@ def needle_speed(log: RunLog, window: float) -> Floats:
 
 @dataclass(frozen=True, kw_only=True)
 class EstimateErrors:
-    """Errors of the estimate after each volume; NaN if there is no estimate or no needle.
+    """Errors of the estimate after each of v volumes; NaN without an estimate or a needle."""
 
-    Parameters
-    ----------
-    tip
-        (v,) distance from the true to the estimated tip, in m.
-    axial, lateral
-        (v,) parts of that distance along and across the true needle, in m. The axial part is
-        positive beyond the true tip.
-    axis
-        (v,) angle between the true and the estimated direction, in rad. The estimated direction
-        runs from the estimated entry to the estimated tip. The true direction runs to the true tip
-        from the needle's point nearest to the estimated entry, because a bent needle has not been
-        seen before that point.
-    in_probe
-        (v,) distance from the true to the estimated tip in m, each in the probe's frame: the
-        estimate seen from the measured pose, the needle from the true pose. Errors of the probe's
-        pose itself do not count.
-    """
-
-    tip: Floats
-    axial: Floats
-    lateral: Floats
-    axis: Floats
-    in_probe: Floats
+    tip: Floats  # (v,) distance from the true tip, in m
+    axial: Floats  # part along the needle, positive beyond its tip
+    lateral: Floats  # part across it
+    axis: Floats  # (v,) angle to the true direction, from where it was first seen, in rad
+    in_probe: Floats  # (v,) distance in P, in m: errors of the measured pose do not count
 
 
 def estimate_errors(log: RunLog) -> EstimateErrors:
@@ -106,11 +82,7 @@ def estimate_errors(log: RunLog) -> EstimateErrors:
 
 
 def normalized_squared_errors(errors: Floats, covariances: Floats) -> Floats:
-    """Return the normalised estimation error squared (NEES) of each estimate.
-
-    Returns (v,) squared Mahalanobis distances; NaN where an error or a covariance is unknown. Their
-    mean is the rank if the uncertainty is right.
-    """
+    """Return (v,) squared Mahalanobis distances (NEES); NaN where anything is unknown."""
     result = np.full(len(errors), np.nan)
     known = is_known(errors) & is_known(covariances.reshape(-1, 9))
     inverse = np.linalg.pinv(covariances[known], rcond=1e-9, hermitian=True)
@@ -118,51 +90,74 @@ def normalized_squared_errors(errors: Floats, covariances: Floats) -> Floats:
     return result
 
 
-def consistency(log: RunLog, judged: Mask) -> dict[str, dict[str, float | None]]:
-    """Compare the errors of tip, axis and velocity with the uncertainty that was stated.
+def stated_errors(log: RunLog, *, across_depth: bool = False) -> Mapping[str, tuple[Floats, int]]:
+    """Return (v,) squared errors of tip, axis and velocity, relative to what is stated of them.
 
-    Parameters
-    ----------
-    log
-        Log of the run.
-    judged
-        (v,) mask of the volumes that count, if they have an estimate.
-
-    Returns
-    -------
-    `tip`, `axis`, `velocity`: each with `nees`, the median of the normalised estimation error
-    squared over that of the chi-squared distribution (1 if the uncertainty is right, more if it is
-    stated too small), and `within_95`, the share of truths inside the stated 95 %. No uncertainty
-    holds an axis that points backwards.
+    Each has its degrees of freedom. They are NaN where nothing is stated, and infinite for an axis
+    that points backwards. ``across_depth`` leaves out the errors along the depth.
     """
     time = log.volume_estimate_time
     tip, before, after = (
         at_times(log, log.needle_tip, time + shift) for shift in (0, -_WINDOW / 2, _WINDOW / 2)
     )
-    estimated = unit(log.volume_estimate_tip - log.volume_estimate_entry)
-    velocity = (after - before) / _WINDOW
-    direction = _true_direction(log)
-    compared = {
-        "tip": (log.volume_estimate_tip - tip, log.volume_estimate_tip_covariance, 3),
-        "axis": (estimated - direction, log.volume_estimate_direction_covariance, 2),
-        "velocity": (
-            log.volume_estimate_velocity - velocity, log.volume_estimate_velocity_covariance, 3
-        ),
+    # For the parts that count, a projection on them and their number.
+    across, number = np.broadcast_to(np.eye(3), (len(time), 3, 3)), 3
+    if across_depth:
+        across, number = across - _outer(at_times(log, log.X_WP, time)[:, :3, 1]), 2
+    needle = log.volume_estimate_tip - log.volume_estimate_entry
+    true, estimated = (_projected(across, each) for each in (_true_direction(log), needle))
+    # The direction turns in a plane across it, and in a projection further than in space.
+    length = np.linalg.norm(estimated, axis=1) / np.linalg.norm(needle, axis=1)
+    turn = length[:, np.newaxis] * (unit(estimated) - unit(true))
+    aside = across - _outer(unit(estimated))
+    velocity = log.volume_estimate_velocity - (after - before) / _WINDOW
+
+    def squared(errors: Floats, covariances: Floats, projections: Floats = across) -> Floats:
+        projected = projections @ covariances @ projections
+        return normalized_squared_errors(_projected(projections, errors), projected)
+
+    axis = squared(turn, log.volume_estimate_direction_covariance, aside)
+    axis[(np.sum(estimated * true, axis=1) < 0) & ~np.isnan(axis)] = np.inf
+    missed = log.volume_estimate_tip - tip
+    return {
+        "tip": (squared(missed, log.volume_estimate_tip_covariance), number),
+        "axis": (axis, number - 1),
+        "velocity": (squared(velocity, log.volume_estimate_velocity_covariance), number),
+    }
+
+
+def inside_stated(log: RunLog, *, across_depth: bool = False) -> dict[str, list[bool | None]]:
+    """Return for each volume whether the truth lies inside the stated 95 %; None if not stated."""
+    return {
+        name: [None if np.isnan(each) else bool(each <= squared_distance(0.95, freedom))
+               for each in squared]
+        for name, (squared, freedom) in stated_errors(log, across_depth=across_depth).items()
     }  # fmt: skip
+
+
+def consistency(log: RunLog, judged: Mask) -> dict[str, dict[str, float | None]]:
+    """Compare the errors of tip, axis and velocity in judged volumes with what is stated of them.
+
+    Returns `nees`, the median squared error over that of the chi-squared distribution (more than 1
+    if the uncertainty is stated too small), and `within_95`, the share inside the stated 95 %.
+    """
     figures: dict[str, dict[str, float | None]] = {}
-    for name, (errors, covariances, freedom) in compared.items():
-        squared = normalized_squared_errors(errors[judged], covariances[judged])
-        if name == "axis":
-            # The covariance of a direction has no part along it, where turning round leads.
-            backwards = np.sum(estimated * direction, axis=1)[judged] < 0
-            squared[backwards & ~np.isnan(squared)] = np.inf
-        squared = squared[~np.isnan(squared)]
+    for name, (every, freedom) in stated_errors(log).items():
+        squared = every[judged & ~np.isnan(every)]
         figures[name] = {"nees": None, "within_95": None}
         if len(squared):
             within = squared <= squared_distance(0.95, freedom)
             nees = float(np.median(squared) / squared_distance(0.5, freedom))
             figures[name] = {"nees": nees, "within_95": float(within.mean())}
     return figures
+
+
+def _outer(directions: Floats) -> Floats:
+    return directions[:, :, np.newaxis] * directions[:, np.newaxis, :]
+
+
+def _projected(projections: Floats, vectors: Floats) -> Floats:
+    return np.asarray(np.einsum("nij,nj->ni", projections, vectors))
 
 
 def _true_direction(log: RunLog) -> Floats:
@@ -176,11 +171,7 @@ def in_frame(X_WP: Floats, p_W: Floats) -> Floats:
 
 
 def _direction(points: Floats, entry: Floats) -> Floats:
-    """Return the directions of needles, from the point where each is first seen to its tip.
-
-    Returns (v, 3) unit vectors; NaN for a needle with NaN in its points or its entry. At least the
-    last tenth of the needle is used.
-    """
+    """Return (v, 3) directions from where each is first seen, or its last tenth, to the tip."""
     direction = np.full((len(points), 3), np.nan)
     known = is_known(points).all(axis=1) & is_known(entry)
     if known.any():
@@ -223,15 +214,7 @@ The tip is always among the points evaluated.
 
 
 def curve_deviations(log: RunLog, geometry: SweepGeometry) -> Floats:
-    """Return the largest distance between the true and the estimated needle, after each volume.
-
-    The true needle and the probe are taken at the time for which the estimate holds. Only the parts
-    in the image count. The true needle counts from the estimated entry on, where it was first seen,
-    because the estimate does not cover the part before.
-
-    Returns (v,) distances in m; NaN if there is no estimate or no needle, or if either has no point
-    in the image.
-    """
+    """Return the (v,) largest distances in the image of true and estimated needle, in m."""
     time = log.volume_estimate_time
     true = at_times(log, log.needle_points, time)
     poses = at_times(log, log.X_WP, time)
@@ -245,10 +228,7 @@ def curve_deviations(log: RunLog, geometry: SweepGeometry) -> Floats:
 
 
 def deviation(true: Floats, estimate: NeedleCurve, geometry: SweepGeometry) -> float:
-    """Return the largest distance between two curves in the image, in both directions, in m.
-
-    It is NaN if either curve has no point in the image.
-    """
+    """Return the largest distance in m of two curves in the image; NaN if one lies outside."""
     u = np.linspace(0, 1, _POINTS)
     truth, guess = CubicSpline(np.linspace(0, 1, len(true)), true)(u), estimate.position(u)
     first = int(np.argmin(np.linalg.norm(truth - guess[0], axis=1)))

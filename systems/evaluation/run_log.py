@@ -11,12 +11,10 @@ from sonoservo.systems.evaluation.log import Array, Column, Log
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RunLog(Log):
-    """Log of a run: n samples at a fixed period, and v volumes.
+    """Log of a run: n samples at a fixed period, and v volumes, as in the file `log.npz`.
 
-    Each field is an array of the file `log.npz`, under its own name. A value that was not connected
-    or did not exist at that time is NaN, or an empty text. Everything is in SI units, and in the
-    world frame W unless its description says otherwise. Only the simulator knows the truth; no
-    tracker or controller reads it.
+    A value that was not connected or did not exist is NaN, or an empty text. SI units, in the world
+    frame W unless a column says otherwise. Only the simulator knows the truth.
     """
 
     time: Annotated[Array, Column("time of the sample", "s", ("n",))]

@@ -1,49 +1,41 @@
-"""Checks of a source of volumes or frames: what a person asks before anything is tracked in it.
-
-Each check takes what a source tells (times, matrices, volumes) and returns findings. A finding that
-needs something to be done says what.
-"""
+"""Checks of a source of volumes or frames: what a person asks before anything is tracked in it."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum, IntEnum
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.stats import t as student
 
 from sonoservo.systems.calibration.pose_errors import PoseErrors
+from sonoservo.systems.sampling.interpolation import sample_grid
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.reconstructed_volume import ReconstructedVolume
 from sonoservo.systems.signals.volume import Volume
 from sonoservo.systems.tracking.speckle_width import speckle_spread
+from sonoservo.systems.ultrasound.frame_reconstruction import PosedFrame, reconstruct
 
-_GAP = 1.5
-"""Time between two volumes, in periods, from which one of them is missing."""
+_GAP = 1.5  # time between two volumes, in periods, from which one of them is missing
 
 _JITTER = 0.25
 """Standard deviation of the time between two volumes, in periods, above which stamps are those of
 arrival rather than of acquisition."""
 
-_NOT_RIGID = 1e-2
-"""Deviation of a matrix from a rotation that rounding to two decimals explains."""
-
-_STILL_MM, _STILL_DEG = 0.02, 0.01
-"""Spread of poses of a tracker that measures: none is quieter."""
+_NOT_RIGID = 1e-2  # deviation of a matrix from a rotation that rounding to two decimals explains
+_STILL_MM, _STILL_DEG = 0.02, 0.01  # spread of poses of a tracker that measures: none is quieter
 
 _REPEATED = 0.2
 """Share of poses that repeat the one before to the last digit, above which a tracker is slower."""
 
-_FASTEST = 1.0
-"""Highest speed in m/s at which a hand or a robot moves a probe."""
+_FASTEST = 1.0  # highest speed in m/s at which a hand or a robot moves a probe
 
 _AXIAL_MM, _ACROSS_MM = (0.05, 3.0), (0.15, 12.0)
 """Widths of speckle along and across the sound, of probes from 2 to 20 MHz."""
 
-_OTHER_AXIS = 1.4
-"""Ratio of speckle widths from which the narrower axis is taken for the sound's."""
-
-_LATE = 15e-3
-"""Delay of poses in s that shows: a probe at 30 mm/s moves half a millimetre."""
+_OTHER_AXIS = 1.4  # ratio of speckle widths from which the narrower axis is taken for the sound's
+_LATE = 15e-3  # delay of poses in s that shows: a probe at 30 mm/s moves half a millimetre
 
 _DISPLACED, _TURNED_DEG = 2e-3, 2.0
 """Error of a calibration, in m and deg, that shows in a needle's place."""
@@ -77,11 +69,7 @@ class Grade(IntEnum):
 
 @dataclass(frozen=True)
 class Finding:
-    """Outcome of a check.
-
-    `check`, `grade`: what was checked, and how grave it is; `text`: what was found, with its
-    figures; `advice`: what to do; empty if nothing needs doing.
-    """
+    """Outcome of a check: what was found, and what to do, empty if nothing needs doing."""
 
     check: Check
     grade: Grade
@@ -423,3 +411,81 @@ def rows_of_matrices(texts: dict[int, str], count: int) -> NDArray[np.float64]:
             except ValueError:
                 continue
     return matrices
+
+
+_LATEST, _STEPS = 0.25, 11
+"""Largest delay in s that is looked for, and number of delays that are tried."""
+
+_SPACING = 1.2e-3
+_LEAST_VOXELS = 500
+_LEAST_PAIRS = 2
+
+
+def sweep_delay(sweeps: Sequence[Sequence[PosedFrame]]) -> tuple[float, float] | NotFound:
+    """Return the delay of poses in s at which sweeps to and fro agree, and half its 95 %."""
+    delays = [
+        best
+        for earlier, later in pairwise(sweeps)
+        if (best := _best_delay(earlier, later)) is not None
+    ]
+    if len(delays) < _LEAST_PAIRS:
+        return NotFound("fewer than three sweeps to and fro show the same tissue")
+    count = len(delays)
+    wide = float(student.ppf(0.975, count - 1)) / 2
+    return float(np.mean(delays)), wide * float(np.std(delays, ddof=1)) / count**0.5
+
+
+def _best_delay(earlier: Sequence[PosedFrame], later: Sequence[PosedFrame]) -> float | None:
+    tried = np.linspace(-_LATEST, _LATEST, _STEPS)
+    alike = np.array([_likeness(earlier, later, delay) for delay in tried])
+    if not np.isfinite(alike).all():
+        return None
+    best = int(alike.argmax())
+    if not 0 < best < _STEPS - 1:
+        return None
+    before, at, after = alike[best - 1 : best + 2]
+    bend = before - 2 * at + after
+    return float(tried[best] + (tried[1] - tried[0]) * 0.5 * (before - after) / bend)
+
+
+def _likeness(earlier: Sequence[PosedFrame], later: Sequence[PosedFrame], delay: float) -> float:
+    """Return the correlation of two sweeps whose poses are late by so much; NaN if they miss."""
+    frames = [*earlier, *later]
+    order = np.argsort([frame.time for frame in frames], kind="stable")
+    times = np.array([frames[k].time for k in order])
+    poses = np.array([frames[k].X_WI for k in order]).reshape(-1, 16)
+    try:
+        first, second = (
+            reconstruct(_shifted(sweep, times, poses, delay), spacing=_SPACING)
+            for sweep in (earlier, later)
+        )
+    except ValueError:  # too few frames are left, or the sweep is too large
+        return np.nan
+    inner = np.argwhere(~first.holes)[::3]
+    X = second.X_WP.InvertAndCompose(first.X_WP)
+    p = X.multiply(first.position(inner).T).T
+    filled = sample_grid((~second.holes).astype(np.float32), p, second.origin, second.spacing, 0.0)
+    there = filled > 0.99
+    if there.sum() < _LEAST_VOXELS:
+        return np.nan
+    here = first.intensities[tuple(inner[there].T)].astype(float)
+    other = sample_grid(second.intensities, p[there], second.origin, second.spacing, 0.0)
+    if not np.ptp(here) or not np.ptp(other):
+        return np.nan
+    return float(np.corrcoef(here, other)[0, 1])
+
+
+def _shifted(
+    sweep: Sequence[PosedFrame],
+    times: NDArray[np.float64],
+    poses: NDArray[np.float64],
+    delay: float,
+) -> list[PosedFrame]:
+    """Return frames with the poses that were stamped so much later; those beyond the last go."""
+    shifted = []
+    for frame in sweep:
+        at = frame.time + delay
+        if times[0] <= at <= times[-1]:
+            entries = [np.interp(at, times, poses[:, k]) for k in range(16)]
+            shifted.append(replace(frame, X_WI=np.reshape(entries, (4, 4))))
+    return shifted

@@ -1,7 +1,4 @@
-"""Success of a run: whether the needle was found, kept and tracked accurately.
-
-One definition serves the studies, the verdict of a run, its table and the exit status.
-"""
+"""Success of a run, one definition for studies, verdicts, tables and the exit status."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -11,39 +8,31 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
 
 from sonoservo.systems.evaluation.labels import look_up
 from sonoservo.systems.evaluation.run_errors import Floats, at_times, in_frame
 from sonoservo.systems.evaluation.run_log import RunLog, unit
 from sonoservo.systems.signals.needle_estimate import TrackingMode
+from sonoservo.systems.signals.volume import Volume
 
-ENOUGH_MM = 10.0
-"""Length of the needle to be seen in a volume from which the volume counts, in mm."""
+ENOUGH_MM = 10.0  # length of the needle to be seen in a volume from which the volume counts, in mm
 
 FOUND_MM, FOUND_DEG = 5.0, 5.0
 """Errors of tip and axis within which a tracked needle is the right one."""
 
-KEPT = 0.95
-"""Share of the volumes after the detection in which a kept needle is the right one."""
-
-SUCCESS_MM, SUCCESS_DEG = 2.0, 2.0
-"""Median errors of tip and axis of a success."""
+KEPT = 0.95  # share of the volumes after the detection in which a kept needle is the right one
+SUCCESS_MM, SUCCESS_DEG = 2.0, 2.0  # median errors of tip and axis of a success
 
 
 @dataclass(frozen=True, eq=False)
 class TrackedVolumes:
-    """Results of a tracker in the v volumes of a run, judged against ground truth.
+    """Results of a tracker in the v volumes of a run, judged against ground truth."""
 
-    `tip`, `axis`: (v,) errors in mm and deg; infinite without an estimate or a needle; `tracking`:
-    (v,) mask of the volumes that confirmed a needle; `to_be_seen`: (v,) length of the true needle
-    that there was to be seen, in mm: that which stands out in the volume, if it was measured, or
-    else that in view.
-    """
-
-    tip: Floats
-    axis: Floats
-    tracking: NDArray[np.bool_]
-    to_be_seen: Floats
+    tip: Floats  # (v,) errors in mm; infinite without an estimate or a needle
+    axis: Floats  # the same, in deg
+    tracking: NDArray[np.bool_]  # (v,) volumes that confirmed a needle
+    to_be_seen: Floats  # (v,) length in mm that stands out, or else that in view
 
     @classmethod
     def of(cls, log: RunLog) -> "TrackedVolumes":
@@ -105,11 +94,7 @@ def finite_or_infinite(errors: Floats) -> Floats:
 
 
 def judged_errors(log: RunLog, *, across_depth: bool = False) -> tuple[Floats, Floats]:
-    """Return the (v,) errors of the tip in m and of the direction in rad, after each volume.
-
-    The true direction is that of the needle's front half. They are NaN without an estimate or a
-    needle. ``across_depth`` leaves out the errors along the depth.
-    """
+    """Return (v,) errors of tip in m and of direction (the needle's front half) in rad."""
     time = log.volume_estimate_time
     X_WP, points = at_times(log, log.X_WP, time), at_times(log, log.needle_points, time)
     middle, true_tip, tip, entry = (
@@ -129,10 +114,7 @@ def judged_errors(log: RunLog, *, across_depth: bool = False) -> tuple[Floats, F
 
 
 def from_needle(log: RunLog, time: Floats, p_W: Floats) -> Floats:
-    """Return the (m,) distances in m of (m, 3) points from the true needle at (m,) times in s.
-
-    They are NaN where there is no needle or no point.
-    """
+    """Return (m,) distances in m of points in W from the true needle; NaN without one."""
     tip, entry = at_times(log, log.needle_tip, time), at_times(log, log.needle_entry, time)
     along = np.sum((p_W - entry) * (tip - entry), axis=1)
     squared = np.sum((tip - entry) ** 2, axis=1)
@@ -167,3 +149,70 @@ def run_outcome(summary: Mapping[str, Any]) -> RunOutcome:
 def succeeds(summary: Mapping[str, Any]) -> bool:
     """Return True if a run is a success: the needle was found, kept and tracked accurately."""
     return run_outcome(summary) is RunOutcome.SUCCESS
+
+
+STANDS_OUT_DB = 6.0  # level over the tissue from which a needle stands out, in dB
+
+_STEP, _AVERAGED = 0.5e-3, 3e-3
+"""Distance between samples along the needle, and length of the average that takes out speckle, in
+m."""
+
+_NEAR = 0.5e-3 * np.array([(x, y) for x in (-1, 0, 1) for y in (-1, 0, 1)])
+"""Offsets across the needle at which its echo is sampled, in m."""
+
+_TURNS = np.arange(8) * np.pi / 4
+_AROUND = np.concatenate(
+    [r * np.stack([np.cos(_TURNS), np.sin(_TURNS)], axis=1) for r in (4e-3, 5e-3, 6e-3)]
+)
+"""Offsets across the needle at which the tissue is sampled, in m."""
+
+_DEPTHS = np.linspace(0.92, 1.08, 17)
+"""Factors of the depth, by which a wrong speed of sound displaces the needle's echo."""
+
+
+def conspicuous_length(volume: Volume, points: Floats) -> float:
+    """Return the length of a needle that stands 6 dB or more over the tissue around it, in m.
+
+    Echo and tissue are mean grey levels, within 0.7 mm and from 4 to 6 mm of the needle, over 3 mm
+    along it. The depth is scaled by up to 8 % to where the needle is brightest, as an image made
+    with a wrong speed of sound shows it there.
+
+    Parameters
+    ----------
+    volume
+        Volume that shows the needle.
+    points
+        (n, 3) positions along the needle from entry to tip, where the volume would show them in P
+        if its depth were right, in m.
+
+    Returns
+    -------
+    Length in m, to 0.5 mm; 0 for a needle outside the field of view.
+    """
+    ends = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    samples = np.arange(_STEP / 2, ends[-1], _STEP)
+    if len(samples) < 2:
+        return 0.0
+    axis = np.stack([np.interp(samples, ends, each) for each in points.T], axis=1)
+    scaled = [axis * [1.0, factor, 1.0] for factor in _DEPTHS]
+    axis = max(scaled, key=lambda each: float(volume.sample(_beside(each, _NEAR)).mean()))
+    shown = volume.sees(axis)
+    around = volume.sample(beside := _beside(axis, _AROUND))
+    count = np.count_nonzero(volume.sees(beside), axis=0)
+    echo = volume.sample(_beside(axis, _NEAR)).mean(axis=0)
+    tissue = around.sum(axis=0) / np.maximum(count, 1)
+    over = volume.decibels_per_level * uniform_filter1d(echo - tissue, round(_AVERAGED / _STEP))
+    return _STEP * np.count_nonzero(shown & (count > 0) & (over >= STANDS_OUT_DB))
+
+
+def _beside(axis: Floats, offsets: Floats) -> Floats:
+    """Return (m, n, 3) positions beside a needle at (m, 2) offsets across it."""
+    k = np.gradient(axis, axis=0)
+    k /= np.linalg.norm(k, axis=1, keepdims=True)
+    # Any normal will do: the offsets surround the needle.
+    least = np.eye(3)[int(np.abs(k).mean(axis=0).argmin())]
+    aside = np.cross(k, least)
+    aside /= np.linalg.norm(aside, axis=1, keepdims=True)
+    up = np.cross(k, aside)
+    u, v = offsets.T[..., np.newaxis, np.newaxis]
+    return np.asarray(axis + u * aside + v * up)

@@ -17,8 +17,7 @@ class Code(str):
     """Text of a cell that is a name in a program or a file."""
 
 
-Cell = Any
-"""Text, `Strong` or `Code`, a number or a boolean, or None if there is nothing to tell."""
+Cell = Any  # text, `Strong` or `Code`, a number or a boolean, or None if there is nothing to tell
 
 
 def cell_text(value: Cell, missing: str = "–") -> str:
@@ -35,11 +34,7 @@ def cell_text(value: Cell, missing: str = "–") -> str:
 
 
 class Table:
-    """Rows of cells under heads, each row beginning with its label.
-
-    `heads`: head of each column; all empty for a table without heads; `rows`: cells of each row;
-    `missing`: text of a cell without a value.
-    """
+    """Rows of cells, each beginning with its label, under heads (all empty for none)."""
 
     def __init__(
         self, heads: Sequence[str], rows: Sequence[Sequence[Cell]], missing: str = ""
@@ -70,6 +65,12 @@ class Table:
             rows.append(row)
         return Table(["", *self.heads[2:]], rows, self._missing)
 
+    def transposed(self) -> "Table":
+        """Return the table with its columns as rows."""
+        columns = [*zip(*self.rows, strict=True)] or [()] * len(self.heads)
+        rows = [[head, *cells] for head, cells in zip(self.heads[1:], columns[1:], strict=True)]
+        return Table([self.heads[0], *columns[0]], rows, self._missing)
+
     def html(self) -> str:
         """Return the table as HTML."""
         head = "".join(f"<th>{html.escape(each)}</th>" for each in self.heads)
@@ -85,8 +86,10 @@ class Table:
         head, *lines = (f"| {' | '.join(cells)} |" for cells in (self.heads, *body))
         return "\n".join([head, "|" + "---|" * len(self.heads), *lines])
 
-    def terminal(self, title: str = "", caption: str = "") -> "TerminalTable":
-        """Return the table for a terminal, as wide as its cells; see rich."""
+    def terminal(
+        self, title: str = "", caption: str = "", widest: int | None = 10
+    ) -> "TerminalTable":
+        """Return the table for a terminal, with columns no wider than some characters; see rich."""
         from rich import box
         from rich.table import Table as TerminalTable
         from rich.text import Text
@@ -96,7 +99,7 @@ class Table:
         )
         table.add_column(self.heads[0])
         for head in self.heads[1:]:
-            table.add_column(head, justify="right", max_width=10)
+            table.add_column(head, justify="right", max_width=widest)
         for row in self.rows:
             texts = [(cell_text(each, self._missing), isinstance(each, Strong)) for each in row]
             table.add_row(*(Text(text, style="bold" if strong else "") for text, strong in texts))

@@ -1,12 +1,12 @@
 from .beam_path import BeamPath as BeamPath
 from .hand import Hand as Hand
+from .insertion import Feed as Feed
+from .insertion import HandMotion as HandMotion
 from .insertion import Insertion as Insertion
+from .insertion import NeedleMotion as NeedleMotion
 from .insertion_parameters import FeedParameters as FeedParameters
 from .insertion_parameters import InsertionParameters as InsertionParameters
 from .insertion_parameters import Push as Push
-from .needle_motion import Feed as Feed
-from .needle_motion import HandMotion as HandMotion
-from .needle_motion import NeedleMotion as NeedleMotion
 from .operator_hand import OperatorHand as OperatorHand
 from .operator_hand import OperatorHandParameters as OperatorHandParameters
 from .operator_hand import OperatorInsertion as OperatorInsertion

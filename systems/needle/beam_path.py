@@ -25,11 +25,8 @@ from sonoservo.systems.signals.immutable import Immutable, seal
 
 Floats = NDArray[np.float64]
 
-FREE_LENGTH = 0.01
-"""Length of the needle in m between the template's clamp and the tissue."""
-
-_JUDGED = 0.1
-"""Length of the needle in m by whose deflection its radius is told."""
+FREE_LENGTH = 0.01  # length of the needle in m between the template's clamp and the tissue
+_JUDGED = 0.1  # length of the needle in m by whose deflection its radius is told
 
 _STEP = 1e-3
 """Length in m by which the needle advances at a time, and between the nodes of the beam."""
@@ -37,8 +34,7 @@ _STEP = 1e-3
 STIFFNESS = 0.02
 """Bending stiffness EI of an 18 G needle of steel, in N m^2: 200 GPa and a wall of 0.2 mm."""
 
-FOUNDATION = 2e4
-"""Stiffness k of the tissue around it in N/m^2: some 20 kPa, as of muscle."""
+FOUNDATION = 2e4  # stiffness k of the tissue around it in N/m^2: some 20 kPa, as of muscle
 
 YIELD_LENGTH = 0.1
 """Advance in m in which the shaft cuts sideways through 1 - 1/e of what holds it; chosen."""
@@ -46,19 +42,13 @@ YIELD_LENGTH = 0.1
 
 @dataclass(frozen=True, eq=False)
 class BeamPath(Immutable):
-    """Path of an elastic needle, in coordinates along the aim, up and beside.
+    """Path of an elastic needle, in coordinates along the aim, up and beside."""
 
-    `radius`: radius R in m of the arc that is as far aside after 0.1 m, if the needle is not
-    turned; `roll`: direction of the bend at the start, from up towards beside, in rad; `angle`:
-    angle of the template to the aimed direction, towards the bend, in rad; `rotations`: depths in m
-    at which the bevel is turned by 180 deg, ascending; `depth`: largest depth in m.
-    """
-
-    radius: float
-    roll: float
-    angle: float
-    rotations: tuple[float, ...]
-    depth: float
+    radius: float  # of the arc that is as far aside after 0.1 m unturned, in m
+    roll: float  # direction of the first bend, from up towards beside, in rad
+    angle: float  # of the template to the aim, towards the bend, in rad
+    rotations: tuple[float, ...]  # depths of turns by 180 deg, in m, ascending
+    depth: float  # largest, in m
 
     def positions(self, distances: Floats, cut: tuple[Floats, Floats] | None = None) -> Floats:
         """Return the (k, 3) positions of points on the shaft, in m."""
@@ -87,10 +77,7 @@ class BeamPath(Immutable):
 
 @lru_cache(maxsize=8)
 def _deflections(rotations: tuple[float, ...], count: int) -> Floats:
-    """Return (n, n) deflections at each node (column) with the tip at each (row), for slope 1.
-
-    Lengths are in m, from the entry on. Nodes beyond the tip lie on its tangent.
-    """
+    """Return (n, n) deflections in m at each node, by the tip's node (row), for slope 1."""
     free = round(FREE_LENGTH / _STEP)
     found, cut = np.zeros((count, count)), np.zeros(free + count)
     nodes = np.arange(count)
@@ -109,10 +96,7 @@ def _deflections(rotations: tuple[float, ...], count: int) -> Floats:
 
 
 def _bent(cut: Floats, free: int) -> Floats:
-    """Return the (n,) deflections of a beam from a clamp at the first node to the cut's end.
-
-    The first ``free`` nodes lie outside the tissue.
-    """
+    """Return (n,) deflections from a clamp at the first node, of which ``free`` lie outside."""
     n = len(cut)
     # The energy of bending is the sum of squared second differences. Mirrored behind the first
     # node, the beam is clamped there; at the tip it may turn.

@@ -34,11 +34,8 @@ OUTER_DIAMETER = {
 DEFAULT_ENTRY = (-0.06, 0.0, -0.045)
 """Entry in T, in m, of an insertion whose parameters give neither an entry nor an experiment."""
 
-_MAX_LENGTH = 0.5
-"""Largest length of a needle, in m."""
-
-MIN_BEND_RADIUS = 0.05
-"""Smallest radius in m of the arc that a bevelled tip may cut."""
+_MAX_LENGTH = 0.5  # largest length of a needle, in m
+MIN_BEND_RADIUS = 0.05  # smallest radius in m of the arc that a bevelled tip may cut
 
 
 @dataclass(kw_only=True)

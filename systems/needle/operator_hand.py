@@ -39,14 +39,10 @@ class OperatorHandParameters(Bounded):
 
 @dataclass(frozen=True, eq=False)
 class OperatorInsertion(Immutable):
-    """Teleoperated insertion so far.
-
-    `insertion`: insertion made by all pushes so far; `depth`, `turn_deg`: depth in m and angle in
-    deg that these pushes reach once the hand has caught up with them.
-    """
+    """Teleoperated insertion so far."""
 
     insertion: Insertion
-    depth: float = 0.0
+    depth: float = 0.0  # once the hand has caught up, in m
     turn_deg: float = 0.0
 
 

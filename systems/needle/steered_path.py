@@ -24,16 +24,11 @@ Floats = NDArray[np.float64]
 Arcs = tuple[Floats, Floats, Floats]
 """Lengths in m, angles of the bevel in rad and curvatures in 1/m of the arcs."""
 
-WANDER_STEP = 0.5e-3
-"""Path length in m over which a wandering curvature is constant."""
+WANDER_STEP = 0.5e-3  # path length in m over which a wandering curvature is constant
 
 
 def cut_arcs(depths: Floats, turns: Floats) -> tuple[Floats, Floats]:
-    """Return the arcs that make up the path at the end of a history.
-
-    Returns (m,) length of each arc from the entry to the tip in m, and (m,) its bevel's angle in
-    rad.
-    """
+    """Return (m,) lengths in m and bevel angles in rad of the arcs at the end of a history."""
     # A stretch of the path exists if the tip passed it on its way in and has not been shallower
     # since. Its length is the amount that a step adds to the smallest depth from then on.
     least = np.minimum.accumulate(np.maximum(depths, 0.0)[::-1])[::-1]
@@ -48,10 +43,7 @@ def cut_arcs(depths: Floats, turns: Floats) -> tuple[Floats, Floats]:
 
 
 def draw_wander(length: float, std: float, scale: float, rng: np.random.Generator) -> Floats:
-    """Draw the curvature along a path, relative to its mean.
-
-    Returns (n,) values, each for one `WANDER_STEP` of the path.
-    """
+    """Draw the curvature relative to its mean, a value for each `WANDER_STEP` of a path."""
     sigma = scale / WANDER_STEP
     count = len(np.arange(0, length, WANDER_STEP))
     noise = gaussian_filter1d(rng.normal(size=count + 8 * int(sigma)), sigma)
@@ -61,49 +53,23 @@ def draw_wander(length: float, std: float, scale: float, rng: np.random.Generato
 
 @dataclass(frozen=True, eq=False)
 class SteeredPath(Immutable):
-    """Path of a bevelled tip from the entry, in coordinates along the aim, up and beside.
+    """Path of a bevelled tip from the entry, in coordinates along the aim, up and beside."""
 
-    Parameters
-    ----------
-    radius
-        Radius R of the arcs in m.
-    roll
-        Direction of the bend at the start, from up towards beside, in rad.
-    angle
-        Angle of the first direction to the aimed one, towards the bend, in rad.
-    rotations
-        Depths along the aimed direction at which the bevel is turned by 180 deg, in m, ascending.
-    wander
-        (n,) curvature relative to 1 / R on each `WANDER_STEP` of the path; empty if it is constant.
-    twist
-        Rate at which the direction of the bend turns from one step of ``wander`` to the next, in
-        rad/m.
-    turn_errors
-        Errors of the angles of the rotations, in rad; empty for rotations by exactly 180 deg.
-    """
-
-    radius: float
-    roll: float = 0.0
-    angle: float = 0.0
-    rotations: tuple[float, ...] = ()
+    radius: float  # of the arcs, in m
+    roll: float = 0.0  # direction of the first bend, from up towards beside, in rad
+    angle: float = 0.0  # of the first direction to the aim, towards the bend, in rad
+    rotations: tuple[float, ...] = ()  # depths along the aim of turns by 180 deg, in m, ascending
     wander: Floats = field(default_factory=lambda: np.zeros(0))
-    twist: float = 0.0
-    turn_errors: tuple[float, ...] = ()
+    twist: float = 0.0  # turn of the bend from one step of ``wander`` to the next, in rad/m
+    turn_errors: tuple[float, ...] = ()  # of the rotations, in rad; empty for none
 
     def positions(self, distances: Floats, cut: tuple[Floats, Floats] | None = None) -> Floats:
-        """Return positions along the path.
-
-        Returns (k, 3) coordinates in m along the aimed direction, up and beside.
-        """
+        """Return (k, 3) coordinates in m along the aimed direction, up and beside."""
         found: Floats = positions(*self._arcs(np.array(self.rotations), cut)[0], distances)
         return found @ self._first_axes if self.angle else found
 
     def length_at(self, depth: float) -> float:
-        """Return the path length down to a depth along the aimed direction, both in m.
-
-        This assumes that the hand does not turn the needle. The length is infinite if the path does
-        not reach the depth.
-        """
+        """Return the path length in m down to a depth along the aim, or infinity."""
         if depth <= 0:
             return 0.0
         before = [each for each in self.rotations if each < depth]
@@ -145,11 +111,7 @@ class SteeredPath(Immutable):
 
 @njit(cache=True, nogil=True)
 def positions(lengths, angles, curvatures, distances):  # type: ignore[no-untyped-def]
-    """Return positions along a path of arcs.
-
-    Returns (k, 3) coordinates in m along the first d, u and v. The last arc continues beyond its
-    end.
-    """
+    """Return (k, 3) coordinates in m along the first d, u and v; the last arc goes on."""
     found = np.empty((len(distances), 3))
     p = np.zeros(3)
     axes = np.eye(3)  # rows d, u, v
@@ -176,11 +138,7 @@ def positions(lengths, angles, curvatures, distances):  # type: ignore[no-untype
 
 @njit(cache=True, nogil=True)
 def turn_at_depths(lengths, angles, curvatures, depths, errors, axis):  # type: ignore[no-untyped-def]
-    """Split arcs at depths, at each of which the bevel is turned by 180 deg.
-
-    Returns (n,) lengths, angles and curvatures of the arcs, and (r,) path lengths in m down to the
-    depths, infinite for those that are not reached.
-    """
+    """Split arcs at depths where the bevel turns; return them, and the depths' lengths."""
     most = len(lengths) + len(depths)
     new_lengths, new_angles, new_curvatures = np.empty(most), np.empty(most), np.empty(most)
     reached = np.full(len(depths), np.inf)

@@ -13,6 +13,12 @@ No fast arithmetic: reordered sums, fused products and approximate functions rou
 each processor, and one grey level that flips changes every later choice.
 """
 
+INNER = OPTIONS | {"_nrt": False}
+"""Options of kernels that other kernels call, and that make no arrays.
+
+They do not count references to the arrays that they read, which takes longer than the arithmetic.
+"""
+
 
 @njit(cache=True, nogil=True)
 def scattered(index: Any) -> Any:  # pragma: no cover - compiled

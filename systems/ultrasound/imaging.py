@@ -5,11 +5,11 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from sonoservo.systems.signals.requirements import (
-    NotNegative,
+    Bound,
+    Fraction,
     Positive,
     check_bounds,
     require,
-    require_within,
     within,
 )
 from sonoservo.systems.signals.sweep import DYNAMIC_RANGE_DB, SweepGeometry
@@ -55,24 +55,22 @@ class ImagingParameters:
         If a value is out of range; the message names it.
     """
 
-    gain: NotNegative = 0.42
-    depth: Positive = 0.09
-    sector: float = 0.75
+    gain: Fraction = 0.42
+    depth: Annotated[
+        float, Bound("above 0 and at most 0.5 m; lengths are in m", lambda depth: 0 < depth <= 0.5)
+    ] = 0.09
+    sector: Annotated[float, Bound("above 0, at most 1", lambda share: 0 < share <= 1)] = 0.75
     transmit_frequency: Positive = 3.3e6
     focus_depth: Annotated[float, within(0.001, 1.0)] = 0.025
     frame_pitch_deg: Positive = 1.463
     volume_rate: Positive = 3.3
     frames: int | None = None
     sample_pitch: Positive = 0.308e-3
-    dynamic_range_db: float = 60.0
+    dynamic_range_db: Annotated[float, within(*DYNAMIC_RANGE_DB)] = 60.0
     sound_speed: Positive = 1540.0
 
     def __post_init__(self) -> None:
         check_bounds(self)
-        require(self.gain <= 1, "gain", self.gain, "from 0 to 1")
-        require(0 < self.sector <= 1, "sector", self.sector, "above 0, at most 1")
-        require(self.depth <= 0.5, "depth", self.depth, "at most 0.5 m; lengths are in m")
-        require_within("dynamic_range_db", self.dynamic_range_db, *DYNAMIC_RANGE_DB)
         require(
             self.depth >= 4 * self.sample_pitch, "depth", self.depth, "at least 4 sample pitches"
         )

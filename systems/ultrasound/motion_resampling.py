@@ -84,23 +84,18 @@ def resample_moving(  # type: ignore[no-untyped-def]
                         at = c * np.uint64(NODE_STRIDE)
                         for k in range(np.uint64(NODE_STRIDE)):
                             row[a, each, at + k] = near + np.float32(k) * slope
+                # Three loops, each of which the compiler can vectorise.
                 for n in range(np.uint64(first), np.uint64(end)):
                     line, r = line_of(x[a], distance[b, n], sector)
+                    row[a, 0, n] = step[b, n] + row[a, 0, n]
+                    row[a, 1, n] = line + row[a, 1, n]
+                    row[a, 2, n] = r + row[a, 2, n]
+                for n in range(np.uint64(first), np.uint64(end)):
                     volume[a, b, n] = interpolate(
-                        packed,
-                        beyond,
-                        corners,
-                        sector,
-                        step[b, n] + row[a, 0, n],
-                        line + row[a, 1, n],
-                        r + row[a, 2, n],
+                        packed, beyond, corners, sector, row[a, 0, n], row[a, 1, n], row[a, 2, n]
                     )
-                # In a loop of its own, which the compiler can vectorise.
                 for n in range(np.uint64(first), np.uint64(end)):
-                    line, r = line_of(x[a], distance[b, n], sector)
-                    swept = sweeps(
-                        sector, step[b, n] + row[a, 0, n], line + row[a, 1, n], r + row[a, 2, n]
-                    )
+                    swept = sweeps(sector, row[a, 0, n], row[a, 1, n], row[a, 2, n])
                     seen[a, b, n] = np.uint8(1) if swept else np.uint8(0)
 
 

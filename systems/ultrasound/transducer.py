@@ -2,23 +2,27 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated, TypeAlias
 
 from sonoservo.systems.files.model_file import model_file, read_once, read_section
 from sonoservo.systems.files.typed_yaml import load_typed
 from sonoservo.systems.signals.requirements import (
-    NotNegative,
+    Bound,
     Positive,
+    at_least,
     check_bounds,
     require,
+    within,
 )
 
-_LARGEST = {
-    "array_radius": 10.0,
-    "motor_radius": 0.5,
-    "element_pitch": 0.01,
-    "element_height": 0.1,
-    "lens_focus": 1.0,
-}
+Count: TypeAlias = Annotated[int, at_least(2)]
+
+
+def _length(high: float) -> Bound:
+    """Return the bound of a length that is above zero and has a greatest value, in m."""
+    return Bound(
+        f"above 0 and at most {high:g} m; lengths are in m", lambda value: 0 < value <= high
+    )
 
 
 @dataclass(kw_only=True)
@@ -68,68 +72,45 @@ class Transducer:
         If a value is out of range; the message names it.
     """
 
-    array_radius: NotNegative = 0.040
-    motor_radius: NotNegative = 0.02725
-    lines: int = 128
+    array_radius: Annotated[float, within(0, 10, " m; lengths are in m")] = 0.040
+    motor_radius: Annotated[float, within(0, 0.5, " m; lengths are in m")] = 0.02725
+    lines: Count = 128
     line_pitch_deg: Positive = 0.608768
-    most_frames: int = 31
-    elements: int = 128
-    element_pitch: Positive = 0.425e-3
+    most_frames: Count = 31
+    elements: Count = 128
+    element_pitch: Annotated[float, _length(0.01)] = 0.425e-3
     element_width: Positive = 0.375e-3
-    element_height: Positive = 0.012
-    lens_focus: Positive = 0.060
-    lowest_frequency: Positive = 3.0e6
+    element_height: Annotated[float, _length(0.1)] = 0.012
+    lens_focus: Annotated[float, _length(1.0)] = 0.060
+    lowest_frequency: Annotated[float, at_least(1e5, " Hz; frequencies are in Hz")] = 3.0e6
     highest_frequency: float = 7.0e6
     fractional_bandwidth: Positive = 0.7
-    transmit_elements: int = 48
-    receive_elements: int = 64
+    transmit_elements: Count = 48
+    receive_elements: Count = 64
     transmit_f_number: Positive = 2.0
     receive_f_number: Positive = 2.0
-    side_lobe_level: float = 0.0316
+    side_lobe_level: Annotated[float, Bound("from 0, below 1", lambda level: 0 <= level < 1)] = (
+        0.0316
+    )
 
     def __post_init__(self) -> None:
         check_bounds(self)
-        require(
-            0 <= self.side_lobe_level < 1,
-            "side_lobe_level",
-            self.side_lobe_level,
-            "from 0, below 1",
-        )
-        for name in ("lines", "most_frames", "elements", "transmit_elements", "receive_elements"):
-            require(getattr(self, name) >= 2, name, getattr(self, name), "at least 2")
-        for name, most in _LARGEST.items():
-            value = getattr(self, name)
-            require(value <= most, name, value, f"at most {most:g} m; lengths are in m")
-        require(
-            self.element_width <= self.element_pitch,
-            "element_width",
-            self.element_width,
-            "at most element_pitch",
-        )
-        require(
-            self.lens_focus >= self.element_height / 2,
-            "lens_focus",
-            self.lens_focus,
-            "at least half of element_height",
-        )
-        require(
-            self.lowest_frequency >= 1e5,
-            "lowest_frequency",
-            self.lowest_frequency,
-            "at least 1e5 Hz; frequencies are in Hz",
-        )
-        require(
-            self.lines * self.line_pitch_deg <= 150,
-            "line_pitch_deg",
-            self.line_pitch_deg,
-            f"at most {150 / self.lines:g} deg for {self.lines} lines: a sector of 150 deg",
-        )
-        require(
-            self.highest_frequency >= self.lowest_frequency,
-            "highest_frequency",
-            self.highest_frequency,
-            "at least lowest_frequency",
-        )
+        half, most = self.element_height / 2, 150 / self.lines
+        for name, fits, allowed in (
+            ("element_width", self.element_width <= self.element_pitch, "at most element_pitch"),
+            ("lens_focus", self.lens_focus >= half, "at least half of element_height"),
+            (
+                "line_pitch_deg",
+                self.lines * self.line_pitch_deg <= 150,
+                f"at most {most:g} deg for {self.lines} lines: a sector of 150 deg",
+            ),
+            (
+                "highest_frequency",
+                self.highest_frequency >= self.lowest_frequency,
+                "at least lowest_frequency",
+            ),
+        ):
+            require(fits, name, getattr(self, name), allowed)
 
 
 def load_transducer(name: str) -> Transducer:

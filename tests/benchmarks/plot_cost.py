@@ -9,6 +9,9 @@ from math import prod
 from pathlib import Path
 
 from matplotlib.figure import Figure
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
 
 
 def milliseconds(benchmarks, function):
@@ -20,21 +23,26 @@ def milliseconds(benchmarks, function):
     }
 
 
-def print_figures(benchmarks):
-    """Print what pytest-benchmark's table leaves out: what each is compared with, and figures."""
+def print_table(benchmarks):
+    """Print one table: cost, what it is compared with, and how much longer that takes."""
+    table = Table("benchmark", "ms", "compared with", "takes times as long", "figures")
     for each in benchmarks:
-        figures = "".join(
-            f", {name} {value:.3g}" if isinstance(value, float) else f", {name} {value}"
-            for name, value in each["extra_info"].items()
+        figures = dict(each["extra_info"])
+        ms = figures.pop("ms", 1e3 * each["stats"]["median"])
+        peer, ratio = figures.pop("compared_with", ""), figures.pop("ratio", None)
+        rest = [
+            f"{name} {value:.3g}" if isinstance(value, float) else f"{name} {value}"
+            for name, value in figures.items()
             if isinstance(value, float | int | str)
-        )
-        if figures:
-            print(f"{each['name']}: {1e3 * each['stats']['median']:.4g} ms{figures}")
+        ]
+        shown = "" if ratio is None else f"{ratio:.3g}"
+        table.add_row(escape(each["name"]), f"{ms:.4g}", peer, shown, ", ".join(rest))
+    Console(width=200).print(table)
 
 
 def main(source, target):
     benchmarks = json.loads(Path(source).read_text())["benchmarks"]
-    print_figures(benchmarks)
+    print_table(benchmarks)
     cost = milliseconds(benchmarks, "test_render")
     if not cost:
         return

@@ -30,7 +30,7 @@ DRAKE = "Drake and short callbacks"
 PARTS = {
     "rendering": ("ultrasound/simulation",),
     "conversion": ("ultrasound",),
-    "tracking": ("detection", "localization", "estimation"),
+    "tracking": ("tracking",),
     "plant, contact, needle, control": ("drake", "robot", "needle", "control"),
     "display and log": ("display", "evaluation", "recording"),
     "other": ("",),
@@ -153,6 +153,7 @@ def measured_in_a_process(threads):
 
 
 @pytest.mark.slow
+@pytest.mark.bench
 def test_loop_of_figure_5(benchmark):
     figures, leaves = benchmark.pedantic(measured_in_a_process, args=(None,), rounds=1)
     assert figures["volumes"] > 20

@@ -12,7 +12,7 @@ from commands import sonoservo_here
 from sonoservo.diagrams.app.cli import app
 from sonoservo.diagrams.experiments import registry
 from sonoservo.diagrams.experiments.registry import EXPERIMENTS, experiment_class, list_scenarios
-from sonoservo.diagrams.studies.cluster.job_queue import read_job_queue
+from sonoservo.diagrams.studies.cluster.opening import read_job_queue
 from sonoservo.systems.files.field_meanings import field_rows
 from sonoservo.systems.files.typed_yaml import load_typed, read_yaml
 from sonoservo.systems.files.writing import write_atomically

@@ -89,7 +89,7 @@ def benchmark_command(
         else:
             result = run_benchmark(names, options)
             write_benchmark(result, folder, shlex.join(["sonoservo", *sys.argv[1:]]))
-            console.print(benchmark_table(result.data).terminal())
+            console.print(benchmark_table(result.data).transposed().terminal(widest=None))
             say_report(folder)
             write_printed(results.json_path, result.data)
             failed = result.failed

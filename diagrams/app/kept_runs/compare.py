@@ -23,7 +23,7 @@ from sonoservo.diagrams.scenario import Scenario
 from sonoservo.systems.evaluation.labels import look_up, sections
 from sonoservo.systems.evaluation.log import Log, read_log
 from sonoservo.systems.evaluation.reports.plots import png
-from sonoservo.systems.evaluation.reports.web_page import picture, web_page
+from sonoservo.systems.evaluation.reports.report import picture, web_page
 from sonoservo.systems.evaluation.table import Code
 from sonoservo.systems.evaluation.table import Table as ResultTable
 from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures

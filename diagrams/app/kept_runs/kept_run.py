@@ -20,9 +20,9 @@ from sonoservo.systems.evaluation.compile_free_clock import CompileFreeClock
 from sonoservo.systems.evaluation.explanation.explained_volume import clear_explanations
 from sonoservo.systems.evaluation.log import Log
 from sonoservo.systems.evaluation.reports.movie import write_movie
-from sonoservo.systems.evaluation.reports.picture_files import write_pictures
 from sonoservo.systems.evaluation.reports.plots import png
 from sonoservo.systems.evaluation.reports.report import Story, save_replay, write_report
+from sonoservo.systems.evaluation.reports.track_plots import write_pictures
 from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
 from sonoservo.systems.files.writing import Unwritten, write_atomically, write_json
 

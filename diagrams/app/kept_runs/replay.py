@@ -20,8 +20,7 @@ from sonoservo.systems.display.console.controls import Control
 from sonoservo.systems.display.console.history import MINUTE, Frame
 from sonoservo.systems.display.console.readings import Sample, needle_place
 from sonoservo.systems.display.console.slices import SlicePicture, kept_slice
-from sonoservo.systems.evaluation.reports.picture_files import read_pictures
-from sonoservo.systems.evaluation.reports.track_plots import VolumePictures
+from sonoservo.systems.evaluation.reports.track_plots import VolumePictures, read_pictures
 from sonoservo.systems.evaluation.run_errors import at_times
 from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.files.refusals import ConfigurationError

@@ -15,7 +15,7 @@ from sonoservo.diagrams.app.options import Reading
 from sonoservo.diagrams.app.volumes.opening import Opened, open_volumes, with_frames
 from sonoservo.diagrams.app.volumes.reconstruct import ReconstructedRecording
 from sonoservo.systems.calibration.pose_calibration import PoseCalibration
-from sonoservo.systems.evaluation.reports.orientation_sheet import orientation_sheet
+from sonoservo.systems.evaluation.reports.scan_sheet import orientation_sheet
 from sonoservo.systems.evaluation.source_checks import (
     Check,
     Finding,
@@ -30,8 +30,8 @@ from sonoservo.systems.evaluation.source_checks import (
     gravest,
     rows_of_matrices,
     sort_findings,
+    sweep_delay,
 )
-from sonoservo.systems.evaluation.sweep_delay import sweep_delay
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.volume_file import HoldsFramesError, VolumeFile
 from sonoservo.systems.live.connection.items import ImageItem, Item, PoseItem

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
-from sonoservo.systems.evaluation.intervals import mean_interval, proportion_interval
+from sonoservo.systems.evaluation.intervals import proportion_interval, run_interval
 from sonoservo.systems.evaluation.shape.shape_metrics import plane_of
 from sonoservo.systems.shape.cross_section import variance_image
 
@@ -241,5 +241,5 @@ def plot_sweeps(needles: Sequence[Mapping[str, Any]]) -> Figure:
 
 def _ends(values: Sequence[float]) -> NDArray[np.float64]:
     """Return the ends of the mean's interval, or NaN for few needles, which have none."""
-    ends = np.array(mean_interval(np.array(values)))
+    ends = np.array(run_interval(np.array(values)))
     return np.where(np.isfinite(ends), ends, np.nan)

@@ -19,7 +19,7 @@ from sonoservo.diagrams.papers.carriere2016.protocols import PROTOCOLS, SETS, SW
 from sonoservo.diagrams.papers.carriere2016.runs import AS_PUBLISHED, BEVEL_MARK_DEG, TAUGHT
 from sonoservo.diagrams.studies.study import Outcome
 from sonoservo.diagrams.studies.study_report import Study, StudyFigure, StudyRow, can_be_judged
-from sonoservo.systems.evaluation.intervals import mean_interval, proportion_interval
+from sonoservo.systems.evaluation.intervals import proportion_interval, run_interval
 
 NAMES = {
     TAUGHT: "particle filter, wander learnt",
@@ -223,7 +223,7 @@ class _Set:
 
     def _means(self, method: str, key: str) -> dict[str, float | None]:
         true = self.values(method, key.format("true"))
-        low, high = mean_interval(true[np.isfinite(true)])
+        low, high = run_interval(true[np.isfinite(true)])
         return {
             "true": _mean(true),
             "estimated": _mean(self.values(method, key.format("measured"))),
@@ -292,7 +292,7 @@ def sweep_rows(outcomes: Sequence[Outcome]) -> list[StudyRow]:
                 key = f"{quantity}_error_true_{unit}"
                 errors = np.array([each[name][value][key] for each in results], dtype=float)
                 errors[np.isnan(errors)] = np.nanmax(errors, initial=0.0)
-                low, high = mean_interval(errors)
+                low, high = run_interval(errors)
                 rows.append(
                     StudyRow(
                         experiment=f"{outcomes[0].case.experiment}, first {SWEEP_SEEDS} needles",

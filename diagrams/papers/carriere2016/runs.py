@@ -21,8 +21,13 @@ from sonoservo.diagrams.papers.carriere2016.protocols import SWEEPS
 from sonoservo.diagrams.scenario import require_scenario
 from sonoservo.diagrams.shape_predictor import estimate_shape, predict_from_slices
 from sonoservo.diagrams.studies.study import Case
-from sonoservo.systems.evaluation.shape.shape_bound import TrueBend, deflection_bound
-from sonoservo.systems.evaluation.shape.shape_metrics import ShapeLog, prediction, summarize_shape
+from sonoservo.systems.evaluation.shape.shape_metrics import (
+    ShapeLog,
+    TrueBend,
+    deflection_bound,
+    prediction,
+    summarize_shape,
+)
 from sonoservo.systems.needle.steered_path import SteeredPath
 from sonoservo.systems.shape.shape_particle_filter import ShapeParticleFilter
 from sonoservo.systems.shape.shape_posterior import WanderParameters

@@ -8,8 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from sonoservo.diagrams.studies.following.analysis import Run, pooled, quantile
-from sonoservo.diagrams.studies.following.cases import AS_PUBLISHED
+from sonoservo.diagrams.studies.following.analysis import AS_PUBLISHED, Run, pooled, quantile
 from sonoservo.diagrams.studies.study_report import StudyFigure
 from sonoservo.systems.evaluation.reports.plots import BLUE, GREEN, ORANGE, PURPLE, plot_run
 

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from sonoservo.diagrams.papers.chatelain2013.plots import study_figures
-from sonoservo.diagrams.studies.following.analysis import Run, quantile
-from sonoservo.diagrams.studies.following.cases import AS_PUBLISHED
+from sonoservo.diagrams.studies.following.analysis import AS_PUBLISHED, Run, quantile
 from sonoservo.diagrams.studies.following.method_report import (
     Comparison,
     MethodRuns,
@@ -38,13 +37,13 @@ NOTES = (
     "command is held between volumes, nothing checks a measurement, and a lost needle is not found "
     "again. The force law and the guard of the robot are ours.",
     "Where the paper is silent, the choice was made with figs. 4 to 6 on seeds from 100 on, or is "
-    "that of our method. Detection: 5 mm3 of candidates, tau (27 mm)^2, delta 10 mm; the faces "
+    "that of our method. Detection: 5 mm3 of candidates, tau (27 mm)^2, delta 7 mm; the faces "
     "are those of the swept sector (PublishedDetectionParameters). Localization: 400 mm3 of "
     "candidates in a region of 10 mm around the prediction, 20 mm around a detected entry, alpha_0 "
     "35 deg, "
-    "tracking from 20 mm on; discarded draws do not count; the needle ends 6 dB above its "
-    "surroundings, after gaps of 3 mm at most (PublishedLocalizationParameters). Filter: R and Q "
-    "are the same for all control points. A track ends below 20 mm or after 10 volumes without a "
+    "tracking from 20 mm on; discarded draws do not count; the needle ends 9 dB above its "
+    "surroundings, after gaps of 6 mm at most (PublishedLocalizationParameters). Filter: R and Q "
+    "are the same for all control points. A track ends below 10 mm or after 10 volumes without a "
     "measurement (PublishedLifecycle). lambda is 0.8/s (FollowingScenario.as_published).",
     "Sweeps to and fro differ by more than a needle of 2.5 mm/s changes between them. Between "
     "sweeps of one direction, 5 mm3 spread by 24, 13 and 1 mm with a needle of 2 to 25 mm (medians "

@@ -13,7 +13,7 @@ import numpy as np
 from rich.console import Console
 
 from sonoservo.diagrams.papers.chatelain2013.report import report
-from sonoservo.diagrams.studies.following.cases import AS_PUBLISHED, run_case
+from sonoservo.diagrams.studies.following.analysis import AS_PUBLISHED, run_case
 from sonoservo.diagrams.studies.runs import run_cases
 from sonoservo.diagrams.studies.store import Store
 from sonoservo.diagrams.studies.study import Case, StudyOptions
@@ -48,6 +48,7 @@ OPEN_VALUES: Mapping[str, Sequence[str]] = {
         f"candidates of a difference {size} mm3": [f"tracker.detection.candidate_volume={size}e-9"]
         for size in (2, 10, 30)
     },
+    "delta 10 mm": ["tracker.detection.max_depth=10e-3"],
     **{
         f"candidates of a volume {size} mm3": [f"tracker.localization.candidate_volume={size}e-9"]
         for size in (120, 250, 800)
@@ -55,6 +56,10 @@ OPEN_VALUES: Mapping[str, Sequence[str]] = {
     **{
         f"tracked from {length} mm on": [f"tracker.localization.min_length={length}e-3"]
         for length in (10, 15, 25)
+    },
+    **{
+        f"ends {level} dB above its surroundings": [f"tracker.localization.end_contrast={level}"]
+        for level in (6, 12)
     },
     **{
         f"alpha_0 {angle} deg": [f"tracker.localization.max_angle_deg={angle}"]

@@ -11,7 +11,7 @@ import numpy as np
 from sonoservo.diagrams.papers.zhao2012.report import report
 from sonoservo.diagrams.papers.zhao2012.runs import run_case
 from sonoservo.diagrams.papers.zhao2012.speed_report import INTERACTING, NO_VELOCIMETER
-from sonoservo.diagrams.studies.following.cases import AS_PUBLISHED
+from sonoservo.diagrams.studies.following.analysis import AS_PUBLISHED
 from sonoservo.diagrams.studies.runs import run_cases
 from sonoservo.diagrams.studies.store import Store
 from sonoservo.diagrams.studies.study import Case, StudyOptions

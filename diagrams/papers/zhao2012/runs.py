@@ -22,7 +22,7 @@ from sonoservo.diagrams.papers.zhao2012.tracking import (
     Tracking,
     localize_as_published,
 )
-from sonoservo.diagrams.studies.following.cases import run_case as run_loop
+from sonoservo.diagrams.studies.following.analysis import run_case as run_loop
 from sonoservo.diagrams.studies.study import Case, WithFiles
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle_curve import NeedleCurve

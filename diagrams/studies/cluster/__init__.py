@@ -1,7 +1,4 @@
-"""Clusters of Dask distributed: the executor of a study on other machines.
-
-Dask is imported on demand; it comes with the extra ``cluster``.
-"""
+"""Clusters of Dask distributed, imported on demand: the executor of a study on other machines."""
 
 from lazy_loader import attach_stub
 

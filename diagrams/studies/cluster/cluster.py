@@ -15,21 +15,17 @@ from sonoservo.diagrams.studies.store import Store
 from sonoservo.diagrams.studies.study import DIED, Case, Finished, Outcome, Work
 from sonoservo.systems.files.refusals import ConfigurationError, shorten
 
-_LOOK_S = 1.0
-"""Time in s between two looks at which workers there are."""
+_LOOK_S = 1.0  # time in s between two looks at which workers there are
 
 
 class Cluster:
-    """Executor on the workers of a Dask scheduler.
+    """Executor on the workers of a Dask scheduler, one case at a time each.
 
-    Dask's own means keep a study going: a nanny replaces a worker that dies, and the scheduler runs
-    its case again elsewhere, until the case has ended as many workers as the scheduler allows
-    (``distributed.scheduler.allowed-failures``). Every worker has one case at a time; one whose
-    package differs from this process's gets no cases.
+    A nanny replaces a worker that dies, and the scheduler runs its case again elsewhere, up to
+    ``distributed.scheduler.allowed-failures``. A worker whose package differs gets no cases.
 
-    `client`: client of the scheduler; `limit`: longest time in s that a case may take, after which
-    it ends its worker; `patience`: time in s without an answer after which the scheduler is
-    considered gone.
+    `limit`: longest time in s of a case; `patience`: time in s without an answer after which the
+    scheduler is considered gone.
     """
 
     def __init__(self, client: Client, *, limit: float, patience: float = 15.0) -> None:
@@ -52,15 +48,7 @@ class Cluster:
     def run(
         self, work: Work, cases: Sequence[Case], store: Store, notify: Callable[[str], None]
     ) -> Generator[Finished]:
-        """Run cases, and yield each as it ends; see `Executor`.
-
-        Raises
-        ------
-        ConfigurationError
-            If no worker has the same package, or can load the function.
-        ConnectionError
-            If the scheduler is gone.
-        """
+        """Run cases, and yield each as it ends; see `Executor`."""
         kept_there = store if store.shared else None
         waiting, running = deque(cases), dict[Future, Case]()
         try:

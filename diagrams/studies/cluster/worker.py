@@ -29,20 +29,10 @@ class Refusal:
 
 
 def run_case(message: bytes, identity: Mapping[str, str], limit: float) -> Finished | Refusal:
-    """Run a case in a worker's process, with one thread.
+    """Run a pickled case in a worker's process, with one thread.
 
-    The process ends if the case takes longer than its limit, as if the case had crashed: its nanny
-    replaces it, and the scheduler counts a failure. After some cases, the nanny replaces it anyway,
-    because a run leaves memory behind.
-
-    Parameters
-    ----------
-    message
-        Pickled function, store and case.
-    identity
-        `package_identity` of the process that asks; the worker's must be the same.
-    limit
-        Longest time in s that the case may take.
+    The process ends if the case takes longer than the limit in s, as if it had crashed, and is
+    replaced after some cases, because a run leaves memory behind.
     """
     os.environ.update(dict.fromkeys(THREADS, "1"))  # before the libraries are imported
     worker = get_worker()

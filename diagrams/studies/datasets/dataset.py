@@ -11,8 +11,12 @@ from rich.console import Console
 
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
 from sonoservo.diagrams.scenario import Scenario, require_scenario
-from sonoservo.diagrams.studies.datasets.dataset_layouts import LAYOUTS, nnunet_files
-from sonoservo.diagrams.studies.datasets.dataset_sequence import FORMAT, make_sequence
+from sonoservo.diagrams.studies.datasets.dataset_sequence import (
+    FORMAT,
+    LAYOUTS,
+    make_sequence,
+    nnunet_files,
+)
 from sonoservo.diagrams.studies.runs import run_cases
 from sonoservo.diagrams.studies.store import Store, absolute
 from sonoservo.diagrams.studies.study import Case, Executor, Outcome
@@ -21,11 +25,8 @@ from sonoservo.systems.files.typed_yaml import suggest
 from sonoservo.systems.files.writing import to_json, write_json
 from sonoservo.systems.ultrasound.transducer import load_transducer
 
-MANIFEST = "manifest.json"
-"""Name of the list of all sequences in a store."""
-
-_MOST = 1_000_000
-"""Largest number of sequences, or of volumes in one."""
+MANIFEST = "manifest.json"  # name of the list of all sequences in a store
+_MOST = 1_000_000  # largest number of sequences, or of volumes in one
 
 _SEQUENCE = re.compile(r"sequence_\d+")
 
@@ -51,12 +52,9 @@ def make_dataset(
 ) -> dict[str, Any]:
     """Make labelled sequences with a different needle, tissue and probe each.
 
-    The probe is held still. The scenario provides the settings of the scanner, the grid and the
-    phantom. Drawn at random are the entry, angle, bend, gauge and speed of the needle, the pose of
-    the probe, the tissue with its inclusions, the transducer with its unpublished properties, and
-    gain, frequency and focus. All draws follow from the sequence's seed, counted up from
-    `scenario.seed`. Complete sequences from an earlier call are kept, and the manifest lists those
-    of all calls with the same store.
+    The probe is held still. The scenario provides the scanner's settings, the grid and the phantom;
+    needle, pose, tissue, transducer, gain, frequency and focus are drawn by the sequence's seed,
+    counted up from `scenario.seed`. Complete sequences from an earlier call are kept and listed.
 
     Parameters
     ----------
@@ -64,29 +62,19 @@ def make_dataset(
         Scenario of following, with the seed of the first sequence.
     out
         Folder for the outcomes and a copy of manifest.json.
-    count
-        Number of sequences.
-    volumes
-        Number of volumes in each sequence, at the scenario's rate.
+    count, volumes
+        Number of sequences, and of volumes in each, at the scenario's rate.
     transducers
         Probes to draw from, by name or path; empty for the scenario's.
     randomize
         Whether to also draw the dials of the harder world; see `draw_dials`.
     layout
-        One of the `LAYOUTS`: "sequences", a folder for each sequence with volumes.seq.nrrd,
-        volumes.acquisition.jsonl, mask_000.seg.nrrd and so on, and labels.json; "nnunet", the
-        folders imagesTr and labelsTr with dataset.json and splits_final.json, and labels; or "zea",
-        a folder for each sequence with volumes.hdf5, which holds the masks, too, and labels.json.
+        One of the `LAYOUTS`.
     store
-        Folder or URL of fsspec for manifest.json and the sequences; by default, ``out``. The
-        workers of a cluster write into a given store themselves; without one, everything comes back
-        to this process.
-    jobs
-        Number of processes; -1 for one per core.
-    cluster
-        Cluster to run on instead, from `open_cluster`.
-    console
-        Console on which to show progress, if any.
+        Folder or URL of fsspec for manifest.json and the sequences, which the workers of a cluster
+        write to; by default, everything comes back into ``out``.
+    jobs, cluster, console
+        See `run_cases`.
 
     Returns
     -------

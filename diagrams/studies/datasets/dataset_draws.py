@@ -33,31 +33,23 @@ _SEEN = (
 
 _DIP, _SPEED = "hand.dip_deg", "hand.pushes.0.speed"
 
-_WEAKEST = 0.1
-"""Smallest strength of a dial that is on."""
+_WEAKEST = 0.1  # smallest strength of a dial that is on
 
 
 @dataclass(frozen=True)
 class DrawnDials:
-    """Dials of one sequence.
+    """Dials of one sequence."""
 
-    `strengths`: strength of each dial that is on, relative to the moderate one; `changes`:
-    assignments that turn the dials in a scenario; `max_dip_deg`, `max_speed`: upper limits of the
-    needle's angle below the horizontal in deg, and of its speed in m/s.
-    """
-
-    strengths: Mapping[str, float] = field(default_factory=dict)
+    strengths: Mapping[str, float] = field(default_factory=dict)  # relative to the moderate ones
     changes: tuple[str, ...] = ()
-    max_dip_deg: float = 30.0
-    max_speed: float = 12e-3
+    max_dip_deg: float = 30.0  # of the needle, below the horizontal
+    max_speed: float = 12e-3  # of the needle, in m/s
 
 
 def draw_dials(rng: np.random.Generator) -> DrawnDials:
-    """Draw which dials are on, and how far.
+    """Draw which dials that show in a volume are on, and how far.
 
-    Each dial of `load_dials` that shows in a volume is on in half of the sequences, with a strength
-    from 0.1 to 1. Of dials that set the same field, at most one is on. The needle's angle and speed
-    are drawn anyway; their dials raise the upper limits.
+    The needle's angle and speed are drawn anyway; their dials raise the upper limits.
     """
     dials = load_dials()
     strengths: dict[str, float] = {}
@@ -81,21 +73,13 @@ def draw_dials(rng: np.random.Generator) -> DrawnDials:
     return DrawnDials(strengths, tuple(changes), limits[_DIP], limits[_SPEED])
 
 
-_OUTSIDE = 15e-3
-"""Length of needle in the tissue before it enters the field of view, in m."""
-
-_INDENTATION = 4e-3
-"""Indentation of the phantom by the probe, in m."""
+_OUTSIDE = 15e-3  # length of needle in the tissue before it enters the field of view, in m
+_INDENTATION = 4e-3  # indentation of the phantom by the probe, in m
 
 
 @dataclass(frozen=True)
 class DrawnScanner:
-    """Scanner and tissue of a sequence.
-
-    `name`: name or path of the probe; `transducer`, `imaging`: hardware of the probe, and settings
-    of the scanner; `tissue`: tissue, with structures where its file puts them; `parameters`:
-    parameters of needle, noise and errors; `seed`: seed of the noise.
-    """
+    """Scanner and tissue of a sequence, with structures where the tissue's file puts them."""
 
     name: str
     transducer: Transducer

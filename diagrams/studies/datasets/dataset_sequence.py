@@ -1,6 +1,6 @@
 """One labelled sequence of a data set."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from functools import cache
 from pathlib import Path
@@ -23,20 +23,20 @@ from sonoservo.diagrams.studies.datasets.dataset_draws import (
     draw_insertion,
     draw_scanner,
 )
-from sonoservo.diagrams.studies.datasets.dataset_layouts import Labelled, write_layout
 from sonoservo.diagrams.studies.study import Case, WithFiles
+from sonoservo.systems.files.writing import to_json
 from sonoservo.systems.needle.insertion import Insertion
+from sonoservo.systems.recording.nrrd import write_mask, write_volume
+from sonoservo.systems.recording.recording_writer import RecordingWriter
+from sonoservo.systems.recording.zea import ZeaWriter
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.sweep import SweepGeometry, SweepMotion
 from sonoservo.systems.signals.volume import Volume
 from sonoservo.systems.ultrasound.scan_conversion import ScanConversion, make_grid
 from sonoservo.systems.ultrasound.simulation.reaction.deformation import Deformation
 
-FORMAT = 2
-"""Format version of manifest.json and of the labels."""
-
-_FIRST_VOLUME = 1.1
-"""Start of the first volume in s, after the push that no volume shows."""
+FORMAT = 2  # format version of manifest.json and of the labels
+_FIRST_VOLUME = 1.1  # start of the first volume in s, after the push that no volume shows
 
 
 @cache
@@ -92,8 +92,8 @@ def _load(text: str, dials: DrawnDials, seed: int) -> FollowingScenario:
 class _Scene:
     """Scanner, tissue and needle of a sequence; the tissue's frame at rest is the world frame.
 
-    The probe rests. It is taken to follow the breath from volume to volume, so the tissue breathes
-    relative to the middle of each sweep.
+    The resting probe follows the breath from volume to volume, so the tissue breathes relative to
+    the middle of each sweep.
     """
 
     def __init__(
@@ -135,8 +135,7 @@ class _Scene:
         return volume, needle
 
 
-_SPACING = 2e-3
-"""Largest distance between points of a needle that the tissue bends, in m."""
+_SPACING = 2e-3  # largest distance between points of a needle that the tissue bends, in m
 
 
 def needle_as_acquired(volume: Volume, insertion: Insertion) -> Needle:
@@ -157,11 +156,7 @@ def needle_as_imaged(
     geometry: SweepGeometry,
     direction: int,
 ) -> Needle:
-    """Return a needle in P as a sweep shows it, while the tissue moves and slows the sound.
-
-    Each of its points is where the frame that saw it had it, at the depth that follows from the
-    speed of sound that the scanner assumes.
-    """
+    """Return a needle in P as a sweep shows it: each point by its own frame, at the depth shown."""
     if not needle:
         return needle
     count = max(len(needle.shaft), int(np.ceil(needle.length / _SPACING)) + 1)
@@ -181,11 +176,7 @@ def needle_as_imaged(
 
 
 def needle_mask(volume: Volume, needle: Needle) -> NDArray[np.bool_]:
-    """Return the mask of the seen voxels through which a needle, given in P, passes.
-
-    Their centres lie within the needle's radius of its axis or, because a needle may be thinner
-    than the grid, within 0.75 of the largest spacing.
-    """
+    """Return the mask of seen voxels within a needle's radius, or 0.75 spacings, of its axis."""
     mask: NDArray[np.bool_] = np.zeros(volume.intensities.shape, dtype=bool)
     radius = max(needle.radius, 0.75 * float(volume.spacing.max()))
     last = np.array(volume.intensities.shape)
@@ -210,4 +201,87 @@ def describe_needle(needle: Needle) -> dict[str, Any]:
         "needle_lps_mm": (1e3 * needle.shaft).tolist(),
         "tip_lps_mm": (1e3 * needle.tip).tolist(),
         "radius_mm": 1e3 * needle.radius,
+    }
+
+
+Labelled = tuple[Volume, NDArray[np.bool_]]  # a volume and the mask of the needle in it
+
+_FOLDS = 5
+
+
+def _as_sequence(name: str, volumes: Iterable[Labelled], folder: Path) -> None:
+    """Write a recording of all volumes, and a segmentation for each."""
+    (folder / name).mkdir()
+    with RecordingWriter(folder / name / "volumes.seq.nrrd") as writer:
+        for number, (volume, mask) in enumerate(volumes):
+            writer.append(volume)
+            write_mask(folder / name / f"mask_{number:03d}.seg.nrrd", volume, mask, "needle")
+
+
+def _as_nnunet(name: str, volumes: Iterable[Labelled], folder: Path) -> None:
+    """Write an image and a label map for each volume."""
+    for number, (volume, mask) in enumerate(volumes):
+        one = f"{name}_{number:03d}"
+        write_volume(folder / "imagesTr" / f"{one}_0000.nrrd", volume)
+        write_mask(folder / "labelsTr" / f"{one}.nrrd", volume, mask, "needle")
+
+
+def _as_zea(name: str, volumes: Iterable[Labelled], folder: Path) -> None:
+    """Write a file of zea with the volumes and the segmentation of each."""
+    with ZeaWriter(folder / name / "volumes.hdf5") as writer:
+        for volume, mask in volumes:
+            writer.append(volume, mask)
+
+
+LAYOUTS: Mapping[str, tuple[Callable[[str, Iterable[Labelled], Path], None], str]] = {
+    "sequences": (_as_sequence, "{}/labels.json"),
+    "nnunet": (_as_nnunet, "labels/{}.json"),
+    "zea": (_as_zea, "{}/labels.json"),
+}
+"""Writer of each layout, and the path of a sequence's labels in it."""
+
+
+def write_layout(
+    layout: str, name: str, volumes: Iterable[Labelled], labels: Callable[[], Mapping[str, Any]]
+) -> dict[str, bytes]:
+    """Return the files of a sequence in a layout."""
+    write, path = LAYOUTS[layout]
+    with TemporaryDirectory() as temporary:
+        folder = Path(temporary)
+        write(name, volumes, folder)
+        found = sorted(each for each in folder.rglob("*") if each.is_file())
+        files = {each.relative_to(folder).as_posix(): each.read_bytes() for each in found}
+    files[path.format(name)] = to_json(labels()).encode()
+    return files
+
+
+def nnunet_files(sequences: Sequence[Mapping[str, Any]]) -> dict[str, bytes]:
+    """Return nnU-Net's dataset.json and splits_final.json; sequences stay whole in the folds."""
+    ending = ".nrrd"
+    names = [
+        [Path(file).stem for file in each["files"] if file.startswith("labelsTr/")]
+        for each in sequences
+    ]
+    names = [each for each in names if each]
+    if not names:
+        return {}
+    dataset = {
+        "channel_names": {"0": "ultrasound"},
+        "labels": {"background": 0, "needle": 1},
+        "numTraining": sum(map(len, names)),
+        "file_ending": ending,
+        "overwrite_image_reader_writer": "SimpleITKIO",
+        "name": "sonoservo",
+        "description": "Simulated 3D ultrasound of needles; see manifest.json",
+    }
+    splits = [
+        {
+            "train": [one for k, each in enumerate(names) if k % _FOLDS != fold for one in each],
+            "val": [one for each in names[fold::_FOLDS] for one in each],
+        }
+        for fold in range(_FOLDS)
+    ]
+    return {
+        "dataset.json": to_json(dataset).encode(),
+        "splits_final.json": to_json(splits).encode(),
     }

@@ -26,8 +26,7 @@ from sonoservo.systems.files.writing import write_atomically, write_json
 from sonoservo.systems.signals.needle_estimate import TrackingMode
 from sonoservo.systems.signals.volume import Volume
 
-VERSION = "v3.0"
-"""Version of the layout."""
+VERSION = "v3.0"  # version of the layout
 
 TASK = "Follow the needle with the ultrasound probe and press with the wanted force"
 
@@ -55,8 +54,8 @@ def make_episodes(
 ) -> dict[str, Any]:
     """Run a scenario with several seeds, and write its episodes as a data set of LeRobot.
 
-    A frame is a volume: its two middle planes, the joints, the features that the servo saw, the
-    wrist's force and torque, and what servo and force law were told.
+    A frame is a volume: its two middle planes, joints, features as the servo saw them, wrench of
+    the wrist, and what servo and force law were told.
 
     Parameters
     ----------

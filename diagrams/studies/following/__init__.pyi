@@ -1,2 +1,2 @@
 from .analysis import Run as Run
-from .cases import run_case as run_case
+from .analysis import run_case as run_case

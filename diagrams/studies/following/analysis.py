@@ -9,11 +9,12 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from sonoservo.diagrams.experiments.following import FollowingExperiment
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
 from sonoservo.diagrams.experiments.registry import load_scenario
 from sonoservo.diagrams.scenario import require_scenario
-from sonoservo.diagrams.studies.study import Case, Outcome
-from sonoservo.systems.evaluation.log import read_log
+from sonoservo.diagrams.studies.study import Case, Outcome, WithFiles
+from sonoservo.systems.evaluation.log import encode_log, read_log
 from sonoservo.systems.evaluation.metrics import at_rest
 from sonoservo.systems.evaluation.run_errors import (
     at_times,
@@ -25,17 +26,17 @@ from sonoservo.systems.evaluation.run_errors import (
 from sonoservo.systems.evaluation.run_log import RunLog, unit
 from sonoservo.systems.signals.needle_estimate import TrackingMode
 from sonoservo.systems.signals.sweep import SweepGeometry
+from sonoservo.systems.ultrasound.imaging import sweep_geometry
+from sonoservo.systems.ultrasound.transducer import load_transducer
 
 Floats = NDArray[np.float64]
 
-ENOUGH_IN_VIEW = 20e-3
-"""Length of needle in the image from which on errors count, in m."""
+ENOUGH_IN_VIEW = 20e-3  # length of needle in the image from which on errors count, in m
 
 _NOT_TO_BE_LOST = 15e-3
 """Length in the image above which a needle counts as lost while the tracker searches, in m."""
 
-_OUT_OF_VIEW = 2e-3
-"""Length in the image below which one insertion ends and the next begins, in m."""
+_OUT_OF_VIEW = 2e-3  # length in the image below which one insertion ends and the next begins, in m
 
 _RIGHT_PLACE = 10e-3
 """Distance from the estimated to the true tip within which a needle counts as found, in m."""
@@ -43,19 +44,12 @@ _RIGHT_PLACE = 10e-3
 _CENTRED = np.array([2e-3, 2e-3, np.deg2rad(2)])
 """Errors of X, Z and Theta below which the needle is centred again, in m and rad."""
 
-_STAYS = 0.5
-"""Time in s for which it must stay centred."""
-
-_LAG_TIME = 2.0
-"""Time in s before the end of a push over which the fully developed lag is measured."""
+_STAYS = 0.5  # time in s for which it must stay centred
+_LAG_TIME = 2.0  # time in s before the end of a push over which the fully developed lag is measured
 
 
 class Run:
-    """One finished run of following, as its record keeps it; see `describe_run`.
-
-    `outcome`: outcome of a run of the study that has not failed; `logs`: folder of the logs, which
-    plots read; None if there are none.
-    """
+    """One finished run of following, as its record keeps it (`describe_run`); plots need a log."""
 
     def __init__(self, outcome: Outcome, logs: Path | None = None) -> None:
         self.outcome, self._logs = outcome, logs
@@ -166,44 +160,21 @@ def describe_run(
 
 @dataclass(frozen=True, eq=False)
 class Volumes:
-    """Data of a run for each of its v volumes; errors are infinite without an estimate.
+    """Data of a run for each of its v volumes; errors are infinite without an estimate."""
 
-    Parameters
-    ----------
-    enough
-        (v,) mask of the volumes with at least `ENOUGH_IN_VIEW` of the needle in the image.
-    tracked
-        (v,) mask of the volumes that confirmed the needle.
-    lost
-        (v,) mask of the volumes after which the tracker searched again for a needle that was well
-        in the image. Coasting does not count as lost.
-    tip, axis, curve
-        (v,) errors of the tip in m, of the direction in rad, and along the curve in m.
-    true, estimated
-        (v, 3) features X, Z, Theta, in m and rad.
-    p_PTip, p_PTip_estimated
-        (v, 3) true and estimated tip in P, in m.
-    track_time
-        (v,) computing time of the tracker, in s.
-    time
-        (v,) times for which the estimates hold, or else of the volumes, in s.
-    along
-        (v,) estimated speed along the true needle, in m/s.
-    """
-
-    enough: NDArray[np.bool_]
-    tracked: NDArray[np.bool_]
-    lost: NDArray[np.bool_]
-    tip: Floats
-    axis: Floats
-    curve: Floats
-    true: Floats
+    enough: NDArray[np.bool_]  # (v,) at least `ENOUGH_IN_VIEW` of the needle in the image
+    tracked: NDArray[np.bool_]  # (v,) volumes that confirmed the needle
+    lost: NDArray[np.bool_]  # (v,) searching again for one well in the image; not coasting
+    tip: Floats  # (v,) in m
+    axis: Floats  # (v,) in rad
+    curve: Floats  # (v,) largest deviation along it, in m
+    true: Floats  # (v, 3) features X, Z in m, Theta in rad
     estimated: Floats
-    p_PTip: Floats
+    p_PTip: Floats  # (v, 3) in P, in m
     p_PTip_estimated: Floats
-    track_time: Floats
-    time: Floats
-    along: Floats
+    track_time: Floats  # (v,) computing time of the tracker, in s
+    time: Floats  # (v,) for which the estimates hold, or else of the volumes, in s
+    along: Floats  # (v,) estimated speed along the true needle, in m/s
 
 
 def volumes(log: RunLog, curve_deviation: Floats) -> Volumes:
@@ -281,12 +252,7 @@ def found_after(log: RunLog) -> list[tuple[float, float]]:
 
 
 def rest_errors(log: RunLog) -> tuple[Floats, Floats]:
-    """Return the mean absolute features while the needle rests: true, and as estimated.
-
-    All samples count, tracked or not. Without an estimate, the true error takes its place.
-
-    Returns two (3,) errors of X, Z and Theta in m and rad; NaN if the needle never rests.
-    """
+    """Return (3,) mean absolute features at rest in m and rad: true, and as estimated."""
     rest = at_rest(log)
     if not rest.any():
         return np.full(3, np.nan), np.full(3, np.nan)
@@ -297,11 +263,10 @@ def rest_errors(log: RunLog) -> tuple[Floats, Floats]:
 
 
 def centred(log: RunLog, straight: bool = True) -> NDArray[np.bool_]:
-    """Return an (n,) mask of the samples at which the needle is tracked, centred and aligned.
+    """Return an (n,) mask of samples with the needle tracked, centred and aligned, in truth.
 
-    Ground truth decides. For a needle that is not straight, only the tip counts: the true
-    direction starts at the entry into the tissue, which the image does not show, and is not the one
-    that the servo aligns.
+    Of a bent needle only the tip counts: its true direction starts where the image does not show
+    it.
     """
     true = np.abs(features(log.X_WP, log.needle_tip, log.needle_entry))
     tracked = log.estimate_mode == TrackingMode.TRACKING
@@ -315,11 +280,7 @@ def converged(log: RunLog, straight: bool = True) -> bool:
 
 
 def recovery_times(log: RunLog, scenario: FollowingScenario) -> list[float]:
-    """Return the time from the end of each move of the phantom until the needle is centred, in s.
-
-    The needle must stay centred for `_STAYS` before the next move starts; otherwise the time is
-    infinite.
-    """
+    """Return the times in s from each move's end until centred for `_STAYS`; infinite if never."""
     good = centred(log)
     moves = scenario.phantom_motion.moves
     times = []
@@ -344,3 +305,16 @@ def lag(log: RunLog, scenario: FollowingScenario) -> float:
         return float("nan")
     x = features(log.X_WP, log.needle_tip, log.needle_entry)[during, 0]
     return float(np.abs(x).mean())
+
+
+AS_PUBLISHED = ", as published"  # ending of the name of an experiment with the published method
+
+
+def run_case(case: Case) -> WithFiles:
+    """Run a case's scenario; return summary and `describe_run`, and the log as a file."""
+    experiment = FollowingExperiment(load_case(case))
+    experiment.run()
+    log, scenario = experiment.log(), experiment.scenario
+    geometry = sweep_geometry(load_transducer(scenario.probe), scenario.imaging)
+    result = {"summary": experiment.summarize(log), **describe_run(log, scenario, geometry)}
+    return WithFiles(result, {f"{case.name}.npz": encode_log(log)})

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.diagrams.studies.following.analysis import Run, Volumes, pooled_runs
-from sonoservo.diagrams.studies.following.cases import AS_PUBLISHED
+from sonoservo.diagrams.studies.following.analysis import AS_PUBLISHED, Run, Volumes, pooled_runs
 from sonoservo.diagrams.studies.run_group import RunGroup, Value, pooled, quantile_of
 from sonoservo.diagrams.studies.study import Outcome
 from sonoservo.diagrams.studies.study_report import StudyRow, can_be_judged
@@ -20,11 +19,7 @@ _MM, _DEG = 1e3, float(np.rad2deg(1))
 
 
 class MethodRuns(RunGroup[Run]):
-    """Runs of one experiment with one method.
-
-    `outcomes`: outcomes of all experiments; `name`: name of the experiment; `logs`: folder of the
-    logs, if there are any.
-    """
+    """Runs of one experiment, by its name, with one method."""
 
     def __init__(self, outcomes: Sequence[Outcome], name: str, logs: Path | None = None) -> None:
         mine = [each for each in outcomes if each.case.experiment == name]
@@ -41,10 +36,7 @@ class MethodRuns(RunGroup[Run]):
 
 
 class Comparison:
-    """Runs of one experiment with both methods, and the rows made from them.
-
-    `outcomes`, `name`, `logs`: see `MethodRuns`.
-    """
+    """Runs of one experiment with both methods, and the rows made from them."""
 
     def __init__(self, outcomes: Sequence[Outcome], name: str, logs: Path | None = None) -> None:
         self.name = name
@@ -103,10 +95,7 @@ def add_rest_rows(
     known: Sequence[tuple[float | None, float | None]] = 3 * ((None, None),),
     share: float | None = None,
 ) -> None:
-    """Add the rows of the features at rest: where a run converged, and its median over all.
-
-    A mean over all runs would tell how far the runs that failed happened to go.
-    """
+    """Add the rows of the features at rest: where a run converged, and its median over all."""
     group.row(
         "runs that converged", "%", lambda m: m.share(lambda run: run.converged()),
         target=share, wanted="at least",
@@ -135,11 +124,8 @@ def _at_rest(method: MethodRuns, feature: int, factor: float, every: bool = Fals
 
     figures = partial(error, estimated=False), partial(error, estimated=True)
     if every:
-        return method.median(*figures)
+        return method.mean(*figures, np.median)
     return method.those(lambda run: run.converged()).mean(*figures)
-
-
-_MM, _DEG = 1e3, float(np.rad2deg(1))
 
 
 def add_tracking_rows(group: Comparison) -> None:

@@ -1,4 +1,4 @@
-from .open_loop import MakeMeasuredMotion as MakeMeasuredMotion
+from .planned_motion import MakeMeasuredMotion as MakeMeasuredMotion
 from .planned_motion import PlannedMotion as PlannedMotion
 from .reproduction import reproduce as reproduce
 from .reproduction import study_cases as study_cases

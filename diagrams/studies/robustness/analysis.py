@@ -13,8 +13,7 @@ from sonoservo.systems.evaluation.success import KEPT, TrackedVolumes, finite_or
 
 Floats = NDArray[np.float64]
 
-_WORTH = 10.0
-"""Travel of a probe after a ghost that counts as a chase, in mm."""
+_WORTH = 10.0  # travel of a probe after a ghost that counts as a chase, in mm
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,11 +16,8 @@ from sonoservo.diagrams.scenario import require_scenario
 from sonoservo.systems.files.model_file import model_file
 from sonoservo.systems.files.typed_yaml import apply_changes, read_yaml
 
-PUSHED = 0.05
-"""Length of the first push in m; a faster hand pushes for less time."""
-
-_SPEED = 0.008
-"""Speed of the hand while its dial is off, in m/s."""
+PUSHED = 0.05  # length of the first push in m; a faster hand pushes for less time
+_SPEED = 0.008  # speed of the hand while its dial is off, in m/s
 
 PLAIN = (
     "station.probe={x: 0.0, y: 0.0, yaw_deg: 20.0, height: 0.010}",
@@ -123,8 +120,7 @@ GRADED: Mapping[str, GradedDial] = {
 }
 """Each dial of `load_dials`, by name."""
 
-CLINIC = "clinic"
-"""Name of the scenario that has all dials at about half their moderate strength."""
+CLINIC = "clinic"  # name of the scenario that has all dials at about half their moderate strength
 
 
 def turned(name: str, strength: float) -> Turned:

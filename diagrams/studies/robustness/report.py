@@ -16,18 +16,17 @@ from sonoservo.diagrams.studies.robustness.runs import OURS, PUBLISHED, TRACKERS
 from sonoservo.diagrams.studies.run_group import Value
 from sonoservo.diagrams.studies.study import Outcome
 from sonoservo.diagrams.studies.study_report import Study, StudyRow
-from sonoservo.systems.evaluation.conspicuity import STANDS_OUT_DB
 from sonoservo.systems.evaluation.success import (
     ENOUGH_MM,
     FOUND_DEG,
     FOUND_MM,
     KEPT,
+    STANDS_OUT_DB,
     SUCCESS_DEG,
     SUCCESS_MM,
 )
 
-Groups = Mapping[str, Mapping[str, Group]]
-"""Runs by experiment and kind of the tracker."""
+Groups = Mapping[str, Mapping[str, Group]]  # runs by experiment and kind of the tracker
 
 _ERRORS: Sequence[tuple[str, str, Callable[[Group], Value]]] = (
     ("found", "%", lambda group: group.share(lambda run: run.found)),
@@ -129,8 +128,7 @@ def group_outcomes(outcomes: Sequence[Outcome]) -> dict[str, dict[str, Group]]:
     }
 
 
-Curve = list[tuple[float, Mapping[str, Group]]]
-"""Strength and runs by tracker, the weakest first."""
+Curve = list[tuple[float, Mapping[str, Group]]]  # strength and runs by tracker, the weakest first
 
 
 def dial_curves(outcomes: Sequence[Outcome]) -> dict[str, Curve]:

@@ -28,20 +28,17 @@ and of those that the other trackers see too."""
 CALIBRATED_SEEDS = (10, 1)
 """Number of seeds with poses as they are measured, and with corrected ones."""
 
-CLINIC_SEEDS = (10, 1)
-"""Number of runs of the clinic with our tracker in the closed loop."""
+CLINIC_SEEDS = (10, 1)  # number of runs of the clinic with our tracker in the closed loop
 
 WITHDRAWALS, OTHERS_WITHDRAWALS = (50, 1), (10, 1)
 """Number of withdrawals with our tracker, and with each of the others."""
 
-HOUR, PART = 3600.0, 300.0
-"""Time without a needle in all, and in one run, in s."""
+HOUR, PART = 3600.0, 300.0  # time without a needle in all, and in one run, in s
 
 OTHERS_PARTS = 2
 """Number of these runs in which the other trackers look on; they take as long as all else."""
 
-_QUICK_PART = 10.0
-"""Time of a quick run without a needle, in s."""
+_QUICK_PART = 10.0  # time of a quick run without a needle, in s
 
 _SCENARIO = "chatelain2013_fig5"
 _OPEN = {True: ["hand.start=1.5", "duration=12.5"], False: ["hand.start=1.5", "duration=13.5"]}

@@ -11,17 +11,10 @@ from sonoservo.systems.control.visual_features import needle_features, servo_vel
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
 from sonoservo.systems.signals.ports import declare_inputs, evaluate
 
-_REACH = np.array([0.025, 0.012])
-"""Half width of the path along X and Y of the phantom, in m."""
-
-_PERIODS = np.array([31.0, 23.0, 37.0])
-"""Periods of the motion along X and Y and of the turn, in s."""
-
-_TURN = np.deg2rad(20)
-"""Largest turn from the probe's first direction, in rad."""
-
-_GAIN = 0.8
-"""Rate in 1/s at which the probe approaches its place on the path."""
+_REACH = np.array([0.025, 0.012])  # half width of the path along X and Y of the phantom, in m
+_PERIODS = np.array([31.0, 23.0, 37.0])  # periods of the motion along X and Y and of the turn, in s
+_TURN = np.deg2rad(20)  # largest turn from the probe's first direction, in rad
+_GAIN = 0.8  # rate in 1/s at which the probe approaches its place on the path
 
 
 class SearchPath(LeafSystem):

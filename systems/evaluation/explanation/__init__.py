@@ -1,7 +1,4 @@
-"""Explanations of a tracker's decisions around a loss: recorded during a run, drawn afterwards.
-
-This room imports the log of a run from `evaluation`, and `signals`.
-"""
+"""Explanations of a tracker's decisions around a loss: recorded in a run, drawn afterwards."""
 
 from lazy_loader import attach_stub
 

@@ -23,17 +23,16 @@ from sonoservo.systems.signals.planes import sample_plane, slice_planes
 from sonoservo.systems.signals.sweep import SweepGeometry, SweepMotion
 from sonoservo.systems.signals.volume import Volume
 
-_PIXEL = 0.5e-3
-"""Distance between the pixels of the slices, in m."""
+_PIXEL = 0.5e-3  # distance between the pixels of the slices, in m
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ExplainedVolume(Log):
     """Record of a tracker's search in one volume, and of its result.
 
-    Positions are in m in the world frame W unless a column says otherwise. If there were several
-    searches in the volume, region, candidates and profile are those of the deciding one. Steps that
-    it did not reach, and curves that do not exist, have no rows or are NaN.
+    Positions are in m, in W unless a column says otherwise. Of several searches, it holds the
+    deciding one. Steps that it did not reach, and curves that do not exist, have no rows or are
+    NaN.
     """
 
     volume_time: Annotated[Array, Column("middle of the volume's acquisition", "s", ())]
@@ -120,11 +119,7 @@ class _Picture:
 
 
 def deciding_attempt(explanation: LocalizationExplanation) -> LocalizationAttempt | None:
-    """Return the search that gave the measurement.
-
-    Without a measurement, it is the search that got furthest, or the last of several such; None if
-    there was no search.
-    """
+    """Return the search that gave the measurement, or else the last that got furthest, if any."""
     for attempt in explanation.attempts:
         if attempt.measurement is explanation.measurement:
             return attempt
@@ -237,17 +232,13 @@ def _search(explanation: LocalizationExplanation) -> dict[str, Any]:
     return arrays
 
 
-FOLDER = "explanation"
-"""Name of the subfolder of the explained volumes."""
+FOLDER = "explanation"  # name of the subfolder of the explained volumes
 
 _FILES = "*s.npz"
 
 
 def write_explanation(run: Path, explained: ExplainedVolume) -> Path:
-    """Write an explained volume into the folder of a run, atomically.
-
-    Its file is named after the volume's time.
-    """
+    """Write an explained volume into the folder of a run, in a file named after its time."""
     return write_log(run / FOLDER / f"{float(explained.volume_time):08.3f}s.npz", explained)
 
 
@@ -258,32 +249,18 @@ def read_explanations(run: Path) -> list[ExplainedVolume]:
 
 
 def clear_explanations(run: Path) -> None:
-    """Remove the explained volumes of an earlier run from the folder of a run, if there are any."""
+    """Remove the explained volumes of an earlier run from the folder of a run."""
     for path in (run / FOLDER).glob(_FILES):
         path.unlink()
     if (run / FOLDER).is_dir() and not any((run / FOLDER).iterdir()):
         (run / FOLDER).rmdir()
 
 
-_POINTS_EACH = 4
-"""Number of segments between neighbouring points of the log."""
+_POINTS_EACH = 4  # number of segments between neighbouring points of the log
 
 
 def imaged_needle(log: RunLog, explained: ExplainedVolume) -> Array:
-    """Return the true needle as a volume shows it, with each point at the time of its acquisition.
-
-    Parameters
-    ----------
-    log
-        Log of the run.
-    explained
-        Volume of the run.
-
-    Returns
-    -------
-    (m, 3) points along the needle in P, entry to tip, in m; none if it is outside the tissue or
-    unknown.
-    """
+    """Return (m, 3) points of the true needle in P as a volume shows it; none outside."""
     logged = np.linspace(0, 1, log.needle_points.shape[1])
     u = np.linspace(0, 1, _POINTS_EACH * (len(logged) - 1) + 1)
     times = np.full(len(u), float(explained.volume_time))

@@ -55,17 +55,10 @@ class ExplanationRecorder(LeafSystem):
         - explanation
         - detection (optional)
 
-    A volume is kept when the tracker's mode changes, when an insertion is first detected and when
-    the estimated tip jumps (`find_occasion`), together with some volumes before and after it. The
-    records are written immediately, so an interrupted run has them too. Memory holds only the
-    volumes that may still turn out to precede such an occasion.
-
-    `explanation` is the tracker's `LocalizationExplanation` of the volume at the input. It is
-    evaluated after the tracker's update, when the gate has judged the measurement, which localizes
-    the needle once more. No port carries the truth; it is in the log of the run.
-
-    The memory of a run is kept in its context. Each run starts with an empty memory, and removes
-    the files of an earlier run.
+    A volume is kept when the tracker's mode changes, at the first detection and when the tip jumps
+    (`find_occasion`), with some before and after it. `explanation` is evaluated after the tracker's
+    update, when the gate has judged, which localizes the needle once more. A run removes the files
+    of an earlier one.
 
     Parameters
     ----------
@@ -76,8 +69,7 @@ class ExplanationRecorder(LeafSystem):
     max_jump
         Largest distance of the tip from its expected position that is not a jump, in m.
     period, offset
-        Period of the checks for a new volume and time of the first one, in s: shortly after the
-        tracker's.
+        Period of the checks for a new volume and time of the first one, in s.
     """
 
     def __init__(

@@ -21,8 +21,7 @@ _QUIET = "0.45"
 _ACROSS = {"beam": "along", "cross": "across"}
 _SIDE = {"beam": "lateral", "cross": "elevation"}
 _OTHER = {"beam": "elevation", "cross": "lateral"}
-_MARGIN = 8.0
-"""Margin in mm around the lines drawn in a slice."""
+_MARGIN = 8.0  # margin in mm around the lines drawn in a slice
 
 
 def plot_explanation(
@@ -32,12 +31,7 @@ def plot_explanation(
     needle: Array | None = None,
     tip_error: float = np.nan,
 ) -> Figure:
-    """Return a figure of a tracker's search in a volume.
-
-    On the left are two orthogonal slices through the needle, with the region, the candidates and
-    the curves projected onto them. On the right are the intensity along the fitted axis, and the
-    distances of measurements from their predictions.
-    """
+    """Return a figure of a tracker's search in a volume: slices, profile along the axis, gate."""
     needle = np.zeros((0, 3)) if needle is None else needle
     figure = Figure(figsize=(15, 9.5), layout="constrained")
     grid = figure.subplots(2, 2, width_ratios=[1.35, 1])

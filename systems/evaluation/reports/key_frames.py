@@ -18,8 +18,7 @@ Floats = NDArray[np.float64]
 ESTIMATE, TRUTH = "#E69F00", "#56B4E9"
 """Colours of the estimated and of the true needle on a picture."""
 
-_BLACK = 12
-"""Grey level up to which a pixel is outside the sector; JPEG leaves some grey there."""
+_BLACK = 12  # grey level up to which a pixel is outside the sector; JPEG leaves some grey there
 
 VIEWS = ("along needle and beam", "along the needle, across the beam")
 """Names of a volume's two slices."""
@@ -48,11 +47,7 @@ def plot_key_frames(log: RunLog, pictures: Sequence[VolumePictures]) -> dict[str
 
 
 def key_volumes(log: RunLog, parameters: MetricsParameters | None = None) -> dict[int, str]:
-    """Return a description of each telling volume, by its number, in order of time.
-
-    These are the detection, the first loss, the largest error of the tip and the last rest. If no
-    needle was found, it is the volume that shows most of the needle.
-    """
+    """Return words on each telling volume by number: detection, loss, largest error, rest."""
     parameters = parameters or MetricsParameters()
     judged = judged_volumes(log, parameters)
     if not judged.any():

@@ -30,14 +30,9 @@ from sonoservo.systems.files.writing import write_atomically
 
 Frame = NDArray[np.uint8]
 
-FORMATS = (".gif", ".mp4")
-"""Suffixes of movies."""
-
-_GREYS = 48
-"""Number of greys of a GIF; few colours keep it small."""
-
-_HUES = (BLUE, ORANGE, GREEN, ESTIMATE, TRUTH)
-"""Colours of a GIF besides the greys."""
+FORMATS = (".gif", ".mp4")  # suffixes of movies
+_GREYS = 48  # number of greys of a GIF; few colours keep it small
+_HUES = (BLUE, ORANGE, GREEN, ESTIMATE, TRUTH)  # colours of a GIF besides the greys
 
 
 def check_movie(path: Path) -> None:
@@ -52,17 +47,7 @@ def check_movie(path: Path) -> None:
 
 
 def write_movie(path: Path, frames: Iterable[Frame], rate: float) -> Path:
-    """Write a movie, atomically.
-
-    Parameters
-    ----------
-    path
-        Path of the movie, with a suffix of `FORMATS`.
-    frames
-        (rows, columns, 3) pictures of one size, at least one.
-    rate
-        Frames per second.
-    """
+    """Write (rows, columns, 3) pictures of one size as a movie of `FORMATS`, at a rate in 1/s."""
     check_movie(path)
     frames = iter(frames)
     first = next(frames, None)

@@ -10,8 +10,7 @@ from sonoservo.systems.signals.ports import declare_inputs, evaluate
 from sonoservo.systems.signals.requirements import require_not_negative, require_positive
 from sonoservo.systems.signals.volume import Volume
 
-_MOST = 400
-"""Number of pictures above which every second one is dropped."""
+_MOST = 400  # number of pictures above which every second one is dropped
 
 
 class PictureRecorder(LeafSystem):
@@ -24,16 +23,12 @@ class PictureRecorder(LeafSystem):
         - volume
         - estimate
 
-    `volume` holds a Volume or a NotFound, and `estimate` a NeedleEstimate. A volume's pictures take
-    about 20 KB and 3 ms. They are kept in the context and cleared whenever a simulator is
-    initialised. Whenever there are more than 400, every second of the older ones is dropped, so a
-    long run has fewer of its beginning.
+    A volume's pictures take 20 KB and 3 ms. Beyond 400, every second of the older ones is dropped.
 
     Parameters
     ----------
     period, offset
-        Period of the checks for a new volume and time of the first one, in s: shortly after the
-        tracker's events.
+        Period of the checks for a new volume and time of the first one, in s.
     """
 
     def __init__(self, *, period: float, offset: float = 0.0) -> None:

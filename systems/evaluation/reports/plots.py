@@ -42,15 +42,7 @@ ERRORS_CAPTION = (
 
 
 def plot_run(log: RunLog, force_target: float | None = 2.0) -> Figure:
-    """Return a figure like Chatelain 2013, fig. 5: features, tip, probe and contact force.
-
-    Parameters
-    ----------
-    log
-        Log of the run.
-    force_target
-        Target of the contact force, in N; None draws no target.
-    """
+    """Return a figure like Chatelain 2013, fig. 5: features, tip, probe and contact force in N."""
     figure = Figure(figsize=(9, 11), layout="constrained")
     feature, tip, probe, force = figure.subplots(
         4, 1, sharex=True, gridspec_kw={"height_ratios": [3, 2, 3, 2]}

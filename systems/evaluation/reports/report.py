@@ -1,5 +1,6 @@
 """Report and replay of a run as web pages."""
 
+import base64
 import html
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -10,18 +11,13 @@ from pydrake.geometry import Meshcat
 
 from sonoservo.systems.evaluation.labels import LABELS, MORE_LABELS, look_up, sections
 from sonoservo.systems.evaluation.reports.verdict import Verdict
-from sonoservo.systems.evaluation.reports.web_page import picture, web_page
 from sonoservo.systems.evaluation.table import Code, Table
 from sonoservo.systems.files.writing import write_atomically
 
 
 @dataclass(frozen=True, kw_only=True)
 class Change:
-    """A field of a scenario that differs from what it is compared with.
-
-    `path`: dotted path of the field; `meaning`: description of the field; empty if it has none;
-    `before`, `after`: both values as text; a dash where there is no such field.
-    """
+    """A field of a scenario that differs from what it is compared with; both values as text."""
 
     path: str
     meaning: str = ""
@@ -31,19 +27,14 @@ class Change:
 
 @dataclass(frozen=True, kw_only=True)
 class Story:
-    """Content of a report besides figures and plots.
-
-    `verdict`: verdict on the run; `scenario`: sentences that describe the scenario; `base`: what
-    the scenario is compared with; `changes`: fields in which it differs from that; `command`:
-    command that repeats the run; `links`: text of each link, by its relative address.
-    """
+    """Content of a report besides figures and plots."""
 
     verdict: Verdict | None = None
-    scenario: Sequence[str] = ()
-    base: str = ""
-    changes: Sequence[Change] = ()
-    command: str = ""
-    links: Mapping[str, str] = field(default_factory=dict)
+    scenario: Sequence[str] = ()  # sentences that describe it
+    base: str = ""  # what the scenario is compared with
+    changes: Sequence[Change] = ()  # fields in which it differs from that
+    command: str = ""  # repeats the run
+    links: Mapping[str, str] = field(default_factory=dict)  # text by relative address
 
 
 def report_page(
@@ -107,11 +98,7 @@ def write_report(
 
 
 def save_replay(meshcat: Meshcat, path: str | Path) -> Path:
-    """Write a Meshcat's recording as one HTML page that needs no server.
-
-    Call ``meshcat.StartRecording()`` before the simulator is initialised: the recording lacks
-    everything shown or hidden earlier. The live page, if one is open, plays the recording too.
-    """
+    """Write a Meshcat's recording, begun before the simulation, as a page without server."""
     meshcat.StopRecording()
     meshcat.PublishRecording()
     return write_atomically(path, meshcat.StaticHtml())
@@ -202,3 +189,62 @@ def _is_there(summary: Mapping[str, Any], path: str) -> bool:
     *parents, last = path.split(".")
     node = look_up(summary, ".".join(parents)) if parents else summary
     return isinstance(node, Mapping) and last in node
+
+
+_PAGE = """<!DOCTYPE html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<title>{title}</title>
+<style>
+  :root {{ color-scheme: light; }}
+  body {{ font: 16px/1.5 system-ui, sans-serif; max-width: 60rem; margin: 2rem auto;
+         padding: 0 1rem; color: #222; background: #fff; }}
+  h1 {{ font-size: 1.6rem; margin-bottom: 0; }}
+  h2 {{ font-size: 1.2rem; margin: 2rem 0 .4rem; }}
+  h3 {{ font-size: 1rem; margin: 1.2rem 0 .2rem; }}
+  .verdict {{ border-left: .35rem solid #009e73; background: #f4f6f5; padding: .6rem .9rem; }}
+  .verdict.mixed {{ border-color: #e69f00; }}
+  .verdict.bad {{ border-color: #d55e00; }}
+  .facts {{ color: #666; margin-top: .2rem; }}
+  .tables {{ display: flex; flex-wrap: wrap; gap: 0 3rem; }}
+  table {{ border-collapse: collapse; margin-bottom: .6rem; }}
+  th, td {{ padding: .15rem .9rem .15rem 0; border-bottom: 1px solid #e4e4e4; text-align: right;
+           font-variant-numeric: tabular-nums; font-weight: normal; }}
+  th {{ color: #666; }}
+  th:first-child {{ text-align: left; color: #222; }}
+  td {{ overflow-wrap: anywhere; }}
+  figure {{ margin: 1.2rem 0 2rem; }}
+  figcaption {{ color: #666; }}
+  img {{ max-width: 100%; height: auto; }}
+  code {{ background: #f3f3f3; padding: .1rem .3rem; }}
+</style>
+</head>
+<body>
+<h1>{title}</h1>
+<p class="facts">{facts}</p>
+{body}
+{figures}
+</body>
+</html>
+"""
+
+
+def web_page(title: str, facts: str, body: str, figures: Mapping[str, bytes]) -> str:
+    """Return a self-contained web page."""
+    return _PAGE.format(
+        title=html.escape(title),
+        facts=facts,
+        body=body,
+        figures="\n".join(picture(*each) for each in figures.items()),
+    )
+
+
+def picture(caption: str, data: bytes) -> str:
+    """Return a PNG file's contents, with a caption in plain text, as HTML."""
+    text = html.escape(caption)
+    return (
+        f'<figure><img alt="{text}" src="data:image/png;base64,{base64.b64encode(data).decode()}">'
+        f"<figcaption>{text}</figcaption></figure>"
+    )

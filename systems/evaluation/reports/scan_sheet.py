@@ -27,28 +27,18 @@ _INK, _QUIET, _PAPER, _NEEDLE = "#F2F2F2", "#9AA4AD", "#0E1116", "#FFB000"
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """Positions of the pixels of a picture, and its labels.
-
-    `title`, `horizontal`, `vertical`: title of the picture and names of its axes; `p_P`: (rows,
-    columns, 3) positions of the pixels in P, in m; `columns`, `rows`: coordinates of the pixels
-    along the horizontal and the vertical axis, in m.
-    """
+    """Positions in P of the pixels of a picture, in m, and its labels."""
 
     title: str
     horizontal: str
     vertical: str
-    p_P: Floats
-    columns: Floats
-    rows: Floats
+    p_P: Floats  # (rows, columns, 3)
+    columns: Floats  # coordinates along the horizontal axis, in m
+    rows: Floats  # along the vertical axis
 
 
 def scan_sheet(sweep: Sweep, volume: Volume, needle: Needle, *, caption: str) -> Figure:
-    """Return a figure of a frame in the shape of its sector, and three slices through the sweep.
-
-    Slices are interpolated from the samples of the sweep. A dotted line surrounds the true needle
-    at a distance of 3 mm, which leaves its echo visible, and an arrow points at its tip. There are
-    two slices if the sweep does not contain the needle.
-    """
+    """Return a figure of a frame in its sector, and of three slices with the true needle marked."""
     figure = Figure(figsize=(13, 9.6), facecolor=_PAPER, layout="constrained")
     figure.get_layout_engine().set(w_pad=0.12, h_pad=0.12)
     shaft = volume.to_probe(needle.shaft) if needle else np.zeros((0, 3))
@@ -204,3 +194,46 @@ def _outline(
             fontsize=9,
             arrowprops={"arrowstyle": "->", "color": _NEEDLE, "linewidth": 1.0, "shrinkB": 4},
         )
+
+
+_NAMES = ("X, along the array", "Y, along the sound", "Z, from frame to frame")
+_VIEWS = ((0, 1), (2, 1), (0, 2))  # axes of P that run to the right and downwards in each picture
+
+_BODY = (("up (S)", (0, 0, 1)), ("left (L)", (1, 0, 0)), ("back (P)", (0, 1, 0)))
+"""Directions of the body in LPS."""
+
+_IN_PLANE = 0.6  # part of a direction that lies in a picture, from which it is drawn there
+
+
+def orientation_sheet(volume: Volume, R_LP: RotationMatrix, *, caption: str = "") -> Figure:
+    """Return a figure of the three middle planes of a volume."""
+    figure = Figure(figsize=(11, 4.6), layout="constrained")
+    low, high = 1e3 * volume.origin, 1e3 * volume.upper
+    middle = [n // 2 for n in volume.intensities.shape]
+    for axes, (right, down) in zip(figure.subplots(1, 3), _VIEWS, strict=True):
+        (other,) = {0, 1, 2} - {right, down}
+        cut: NDArray[np.generic] = np.take(volume.intensities, middle[other], axis=other)
+        shown = cut.T if right < down else cut
+        extent = (low[right], high[right], high[down], low[down])
+        axes.imshow(shown, cmap="gray", vmin=0, vmax=255, extent=extent)
+        axes.set_xlabel(f"{_NAMES[right]}, mm")
+        axes.set_ylabel(f"{_NAMES[down]}, mm")
+        if down == 1:
+            axes.set_title("the probe is here, at the top")
+        for name, direction in _BODY:
+            part = (R_LP.matrix().T @ np.array(direction, float))[[right, down]]
+            if np.linalg.norm(part) < _IN_PLANE:
+                continue
+            x, y = part / np.linalg.norm(part) * [1, -1]
+            arrow = {"arrowstyle": "->", "color": _NEEDLE}
+            axes.annotate(
+                "", xy=(0.5 + 0.3 * x, 0.5 + 0.3 * y), xytext=(0.5, 0.5),
+                xycoords="axes fraction", arrowprops=arrow,
+            )  # fmt: skip
+            axes.text(
+                0.5 + 0.38 * x, 0.5 + 0.35 * y, name, color=_NEEDLE, transform=axes.transAxes,
+                ha="center", va="center",
+            )  # fmt: skip
+    if caption:
+        figure.supxlabel(caption, fontsize=9)
+    return figure

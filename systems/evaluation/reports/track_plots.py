@@ -1,14 +1,19 @@
 """Plots of a needle tracked through a recording."""
 
 import io
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image
-from pydrake.math import RigidTransform
+from pydrake.math import RigidTransform, RotationMatrix
 
+from sonoservo.systems.files.memory import require_memory
+from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
+from sonoservo.systems.files.writing import write_atomically
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
 from sonoservo.systems.signals.planes import sample_plane, slice_planes
@@ -16,8 +21,7 @@ from sonoservo.systems.signals.volume import Volume
 
 Floats = NDArray[np.float64]
 
-_PIXEL = 0.5e-3
-"""Pixel size of a picture, in m."""
+_PIXEL = 0.5e-3  # pixel size of a picture, in m
 
 _NEEDLE = "#D55E00"
 _COLOURS = ("#0072B2", "#CC79A7", "#009E73")
@@ -32,18 +36,12 @@ TIP_CAPTION = "The estimated tip in the file's own coordinates, and the length o
 
 @dataclass(frozen=True, eq=False)
 class PlanePicture:
-    """A slice through a volume, and the needle in it.
-
-    `jpeg`: grey levels, coded as JPEG, because a run keeps the pictures of all its volumes; `X_PS`:
-    pose of the picture's frame S in P: X to the right, Y down, origin at the centre; `extent`:
-    left, right, bottom and top edges of the picture, in mm from its centre; `needle`: (m, 2) points
-    of the estimated needle in the same coordinates; none without an estimate.
-    """
+    """A slice through a volume as JPEG, and the needle in it."""
 
     jpeg: bytes
-    X_PS: RigidTransform
-    extent: tuple[float, float, float, float]
-    needle: Floats
+    X_PS: RigidTransform  # pose in P of the picture's frame: X right, Y down, origin at its centre
+    extent: tuple[float, float, float, float]  # left, right, bottom, top in mm from its centre
+    needle: Floats  # (m, 2) points of the estimate, in mm; none without one
 
     @property
     def grey(self) -> NDArray[np.uint8]:
@@ -58,29 +56,15 @@ class PlanePicture:
 
 @dataclass(frozen=True, eq=False)
 class VolumePictures:
-    """The two orthogonal planes through the needle in one volume (`slice_planes`).
-
-    `time`: time of the volume, in s; `mode`: tracking mode after the volume; `planes`: slice along
-    the beam, then the slice across it.
-    """
+    """The two orthogonal planes through the needle in one volume (`slice_planes`)."""
 
     time: float
     mode: TrackingMode
-    planes: list[PlanePicture]
+    planes: list[PlanePicture]  # along the beam, then across it
 
 
 def picture_planes(volume: Volume, mode: TrackingMode, curve: NeedleCurve | None) -> VolumePictures:
-    """Slice a volume along the needle, or through its middle if there is none.
-
-    Parameters
-    ----------
-    volume
-        Volume to slice.
-    mode
-        Tracking mode after the volume.
-    curve
-        Estimated needle in W.
-    """
+    """Slice a volume along the estimated needle in W, or through its middle if there is none."""
     points = np.zeros((0, 3))
     if curve is not None:
         points = volume.to_probe(curve.position(np.linspace(0, 1, 21)))
@@ -122,11 +106,7 @@ def plot_planes(pictures: list[VolumePictures]) -> Figure:
 def plot_tip(
     times: Floats, estimates: list[NeedleEstimate], p_LTip: Floats, in_view: Floats
 ) -> Figure:
-    """Return a figure of the estimated tip and of the needle's length over (n,) times in s.
-
-    The (n, 3) tips are in the file's frame L (LPS) and the (n,) lengths those that the volumes
-    show, both in m; NaN without an estimate.
-    """
+    """Return a figure of (n, 3) tips in the file's frame L and of (n,) lengths in view, in m."""
     figure = Figure(figsize=(9, 5), layout="constrained")
     tip, length = figure.subplots(2, 1, sharex=True)
     confirmed = np.array([each.mode == TrackingMode.TRACKING for each in estimates])
@@ -143,3 +123,73 @@ def plot_tip(
     tip.legend(frameon=False, ncols=3)
     length.set_xlabel("time (s)")
     return figure
+
+
+_FORMAT = 1
+_POINTS = 21  # number of points of a needle in a picture
+
+
+def write_pictures(path: str | Path, pictures: Sequence[VolumePictures]) -> Path:
+    """Write the pictures of a run to one `.npz` file, atomically; see `read_pictures`."""
+    planes = [plane for each in pictures for plane in each.planes]
+    needles = np.full((len(planes), _POINTS, 2), np.nan)
+    for needle, plane in zip(needles, planes, strict=True):
+        if len(plane.needle):
+            needle[:] = plane.needle
+    buffer = io.BytesIO()
+    np.savez(
+        buffer,
+        format=np.array(_FORMAT),
+        time=np.array([each.time for each in pictures], float),
+        mode=np.array([str(each.mode) for each in pictures], str),
+        planes=np.array([len(each.planes) for each in pictures], int),
+        X_PS=np.array([plane.X_PS.GetAsMatrix4() for plane in planes]).reshape(-1, 4, 4),
+        extent=np.array([plane.extent for plane in planes], float).reshape(-1, 4),
+        needle=needles,
+        length=np.array([len(plane.jpeg) for plane in planes], int),
+        jpeg=np.frombuffer(b"".join(plane.jpeg for plane in planes), np.uint8),
+    )
+    return write_atomically(path, buffer.getvalue())
+
+
+def read_pictures(path: str | Path) -> list[VolumePictures]:
+    """Read the pictures of a run that `write_pictures` wrote."""
+    path = Path(path)
+    with refusing_failures(path, "not pictures of a run, or damaged"):
+        require_memory(2 * path.stat().st_size, str(path), "its pictures")
+        with np.load(path, allow_pickle=False) as file:
+            kept = {name: file[name] for name in file.files}
+        if kept.get("format", np.array(None)).tolist() != _FORMAT:
+            raise ConfigurationError(f"{path} is of another version, or has no pictures of a run")
+        counts, lengths = kept["planes"], kept["length"]
+        if (counts < 0).any() or (lengths < 0).any() or lengths.sum() != len(kept["jpeg"]):
+            raise ConfigurationError(f"{path} is damaged: its pictures are not as long as it says")
+        ends = np.cumsum(lengths)
+        planes = [
+            _plane(kept["jpeg"][end - length : end].tobytes(), *rest)
+            for end, length, *rest in zip(
+                ends, lengths, kept["X_PS"], kept["extent"], kept["needle"], strict=True
+            )
+        ]
+        last = np.cumsum(counts)
+        if last[-1:].sum() != len(planes) or not np.isfinite(kept["time"]).all():
+            raise ConfigurationError(f"{path} is damaged: volumes and slices do not match")
+        return [
+            VolumePictures(float(time), TrackingMode(mode), planes[end - count : end])
+            for time, mode, count, end in zip(
+                kept["time"], kept["mode"].tolist(), counts, last, strict=True
+            )
+        ]
+
+
+def _plane(jpeg: bytes, X_PS: np.ndarray, extent: np.ndarray, needle: np.ndarray) -> PlanePicture:
+    with Image.open(io.BytesIO(jpeg)) as image:
+        image.verify()
+    pose = RigidTransform(RotationMatrix(X_PS[:3, :3]), X_PS[:3, 3])
+    if not (pose.rotation().IsValid() and np.isfinite(X_PS).all()):
+        raise ValueError(f"{X_PS.tolist()} is no pose of a slice")
+    left, right, bottom, top = extent.tolist()
+    if not (left < right and top < bottom):
+        raise ValueError(f"the extent {extent.tolist()} of a slice is empty")
+    shown = needle if np.isfinite(needle).all() else np.zeros((0, 2))
+    return PlanePicture(jpeg, pose, (left, right, bottom, top), shown)

@@ -10,20 +10,10 @@ from sonoservo.systems.evaluation.success import RunOutcome, run_outcome
 
 @dataclass(frozen=True)
 class Verdict:
-    """Outcome of a run in words.
+    """Outcome of a run in words."""
 
-    Parameters
-    ----------
-    headline
-        The outcome, without a full stop.
-    text
-        Sentences with the figures that support it; may be empty.
-    grade
-        Whether the run reached its aim: "good", "mixed" or "bad".
-    """
-
-    headline: str
-    text: str = ""
+    headline: str  # without a full stop
+    text: str = ""  # sentences with the figures that support it
     grade: Literal["good", "mixed", "bad"] = "good"
 
     def __str__(self) -> str:
@@ -35,8 +25,7 @@ _ACTS = {
     RunOutcome.INACCURATE: "found and kept, but not accurately",
 }
 
-_SHOWN = 0.5
-"""Time in s from which on it is told that something else was taken for the needle."""
+_SHOWN = 0.5  # time in s from which on it is told that something else was taken for the needle
 
 
 def following_verdict(summary: Mapping[str, Any], *, follows: bool = True) -> Verdict:

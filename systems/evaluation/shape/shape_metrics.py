@@ -11,13 +11,15 @@ from sonoservo.systems.evaluation.labels import look_up
 from sonoservo.systems.evaluation.log import Array, Column, Log, Row, columns, stack_rows
 from sonoservo.systems.evaluation.metrics import spread
 from sonoservo.systems.evaluation.reports.verdict import Verdict
+from sonoservo.systems.signals.bicycle_paths import deflections
 from sonoservo.systems.signals.confidence import SQUARED_DISTANCE_95
+from sonoservo.systems.signals.curvature_wander import wander_modes
 from sonoservo.systems.signals.needle_shape import NeedleShape
 
 Floats = NDArray[np.float64]
 
-OFF_NEEDLE = 2e-3
-"""Distance from the needle beyond which a cross-section has drifted off it, in m."""
+
+OFF_NEEDLE = 2e-3  # distance from the needle beyond which a cross-section has drifted off it, in m
 
 LABELS = {
     "tracking.slices": "slices",
@@ -42,16 +44,11 @@ LABELS = {
 
 @dataclass(frozen=True)
 class ShapeErrors:
-    """Errors of a predicted shape.
+    """Errors of a predicted shape."""
 
-    `tip`: error |u - u^| at the last depth, in m; `shape`: area between the paths, the integral of
-    |u - u^| over depth (eq. 8), in m^2; `largest`: largest distance between the paths perpendicular
-    to Z, in m.
-    """
-
-    tip: float
-    shape: float
-    largest: float
+    tip: float  # |u - u^| at the last depth, in m
+    shape: float  # integral of |u - u^| over depth (eq. 8), in m^2
+    largest: float  # largest distance perpendicular to Z, in m
 
 
 def plane_of(path: Floats) -> Floats:
@@ -95,11 +92,9 @@ def shape_coverage(shape: NeedleShape, path: Floats) -> dict[str, float]:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ShapeLog(Log):
-    """Log with one row for each slice; positions are in the probe frame I of the first slice.
+    """Log with one row for each slice, in m in the probe frame I of the first slice.
 
-    Each field is an array of the file `log.npz`, under its own name. A missing value is NaN, or an
-    empty text. The truth is the point at which the needle's axis would cross the slice if the
-    tissue had not moved.
+    The truth is where the needle's axis would cross the slice if the tissue had not moved.
     """
 
     depth: Annotated[Array, Column("depth of the slice", "m", ("n",))]
@@ -135,12 +130,7 @@ def tracked_to_the_end(log: ShapeLog) -> bool:
 
 
 def summarize_shape(log: ShapeLog, shape: object) -> dict[str, Any]:
-    """Summarise a run in figures for JSON; a figure without a value is None.
-
-    Returns
-    -------
-    Blocks by name: `tracking`, `prediction`, `compute_ms`.
-    """
+    """Summarise a run in blocks of figures for JSON; a figure without a value is None."""
     errors = 1e3 * cross_section_errors(log)
     found = errors[np.isfinite(errors)]
     compute = {
@@ -205,3 +195,46 @@ def shape_verdict(summary: Mapping[str, Any]) -> Verdict:
     )
     good = tracking["to_the_end"] and prediction["covers_tip"]
     return Verdict(headline, text, "good" if good else "mixed")
+
+
+_WIDE = 0.1  # standard deviation in m of the unknown origin, which leaves it free
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrueBend:
+    """True path of a needle, and what is known of all needles."""
+
+    radius: float  # R in m
+    angle: float  # first angle theta_0 in rad
+    rotations: Sequence[float] = ()  # depths at which the bevel is turned, in m
+    wander: float = 0.0  # standard deviation of the curvature, relative to its mean
+    wander_length: float = 0.02
+    radius_std: float = 0.6  # over all needles, in m
+    angle_std: float = 0.0873  # over all needles, in rad
+
+
+def deflection_bound(bend: TrueBend, seen: Floats, noise_std: float, depths: Floats) -> Floats:
+    """Return the (k,) least standard deviations of a predicted deflection u, in m.
+
+    Bayesian Cramer-Rao bound (Van Trees 1968) at the true path. The unknowns are the origin, R,
+    theta_0 and the wander; an error of the plane does not change u to first order.
+    """
+    modes = wander_modes(float(depths[-1]), bend.rotations, bend.wander_length)
+    prior = [_WIDE, bend.radius_std, bend.angle_std]
+    prior += len(modes) * [bend.wander / bend.radius] if bend.wander else []
+    scale = np.array(prior)
+
+    def derivatives(at: Floats) -> Floats:
+        steps = np.array([[0, 0], [1e-4, 0], [0, 1e-6]])
+        shapes = np.array([1 / bend.radius, np.sin(bend.angle)]) + steps
+        u, curved, turned = deflections(shapes, at, np.array(bend.rotations, dtype=float))
+        radius = (u - curved) / 1e-4 / bend.radius**2
+        columns = [np.ones(len(at)), radius, (turned - u) / 1e-6 * np.cos(bend.angle)]
+        unknown = np.column_stack(columns)
+        return np.hstack([unknown, modes.at(at)]) if bend.wander else unknown
+
+    known = derivatives(seen) * scale
+    information = known.T @ known / noise_std**2 + np.eye(len(scale))
+    wanted = derivatives(depths) * scale
+    variance = np.einsum("ki,ki->k", wanted, np.linalg.solve(information, wanted.T).T)
+    return np.sqrt(variance)

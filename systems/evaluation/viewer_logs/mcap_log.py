@@ -20,25 +20,11 @@ from sonoservo.systems.evaluation.viewer_logs.viewer_log import (
 from sonoservo.systems.files.refusals import require_extra
 from sonoservo.systems.signals.volume import Volume
 
-WORLD, PROBE = "world", "probe"
-"""Names of the frames W and P."""
+WORLD, PROBE = "world", "probe"  # names of the frames W and P
 
 
 class McapLog:
-    """Writes a file ``NAME.mcap``; see `ViewerLog`.
-
-    Numbers are messages ``{"value": ...}`` in JSON; everything else has Foxglove's schemas.
-
-    Parameters
-    ----------
-    path
-        Path of the file.
-
-    Raises
-    ------
-    ConfigurationError
-        If foxglove-sdk is not installed.
-    """
+    """Writes a file ``NAME.mcap`` with Foxglove's schemas; see `ViewerLog`."""
 
     def __init__(self, path: Path) -> None:
         self._foxglove = require_extra("foxglove", "mcap", path)

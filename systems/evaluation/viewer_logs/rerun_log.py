@@ -16,23 +16,11 @@ from sonoservo.systems.evaluation.viewer_logs.viewer_log import (
 from sonoservo.systems.files.refusals import require_extra
 from sonoservo.systems.signals.volume import Volume
 
-TIMELINE = "time"
-"""Name of the time line, in s of the simulation."""
+TIMELINE = "time"  # name of the time line, in s of the simulation
 
 
 class RerunLog:
-    """Writes a recording of Rerun, ``NAME.rrd``; see `ViewerLog`.
-
-    Parameters
-    ----------
-    path
-        Path of the file.
-
-    Raises
-    ------
-    ConfigurationError
-        If rerun-sdk is not installed.
-    """
+    """Writes a recording of Rerun, ``NAME.rrd``; see `ViewerLog`."""
 
     def __init__(self, path: Path) -> None:
         self._rr = rr = require_extra("rerun", "rerun", path)

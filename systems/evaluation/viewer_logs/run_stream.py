@@ -23,35 +23,19 @@ _TRUE: Colour = (0, 114, 178)
 _ESTIMATED: Colour = (230, 159, 0)
 _QUIET: Colour = (150, 150, 150)
 
-_PIXEL = 0.5e-3
-"""Pixel size of the slices, in m."""
+_PIXEL = 0.5e-3  # pixel size of the slices, in m
 
 
 @dataclass(frozen=True, eq=False)
 class Surroundings:
-    """What a log of a run does not hold.
+    """What a log of a run does not hold."""
 
-    Parameters
-    ----------
-    sector
-        Edges of the swept sector in P, polylines in m.
-    arm_points
-        Function from (n, joints) positions to (n, m, 3) points along the arm in W, in m; None
-        without an arm.
-    """
-
-    sector: Sequence[Floats] = ()
+    sector: Sequence[Floats] = ()  # edges of the swept sector in P, in m
     arm_points: Callable[[Floats], Floats] | None = None
 
 
 def open_viewer_log(path: Path) -> ViewerLog:
-    """Return a log for a viewer, whose format the file's suffix chooses.
-
-    Raises
-    ------
-    ConfigurationError
-        If the suffix is none of the `FORMATS`, or a package is missing; the message says which.
-    """
+    """Return a log for a viewer, whose format the file's suffix, one of `FORMATS`, chooses."""
     if path.suffix not in FORMATS:
         allowed = " or ".join(FORMATS)
         raise ConfigurationError(f"log: {path} is not allowed; its name must end in {allowed}")
@@ -66,17 +50,7 @@ def write_volume(log: ViewerLog, volume: Volume, estimate: NeedleEstimate) -> No
 
 
 def write_run(log: ViewerLog, run: RunLog, surroundings: Surroundings) -> None:
-    """Write all that a run's log holds: arm, probe, needle, estimate, force, features, and words.
-
-    Parameters
-    ----------
-    log
-        Log for a viewer.
-    run
-        Log of the run.
-    surroundings
-        What it does not hold.
-    """
+    """Write all that a run's log holds: arm, probe, needle, estimate, force and words."""
     time = run.time
     probed = np.isfinite(run.X_WP).all(axis=(1, 2))
     if probed.any():

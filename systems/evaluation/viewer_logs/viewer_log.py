@@ -10,15 +10,11 @@ from sonoservo.systems.signals.volume import Volume
 
 Floats = NDArray[np.float64]
 
-Colour = tuple[int, int, int]
-"""Red, green and blue from 0 to 255."""
+Colour = tuple[int, int, int]  # red, green and blue from 0 to 255
 
 
 class ViewerLog(Protocol):
-    """A file that a viewer opens, with one time line in s of the simulation.
-
-    A name is a path with slashes; what is named ``probe/...`` is in P, in m, and moves with it.
-    """
+    """A file with one time line in s of the simulation; what is named ``probe/...`` is in P."""
 
     def poses(self, name: str, times: Floats, X_WF: Floats) -> None:
         """Write (n, 4, 4) poses of a frame in W."""

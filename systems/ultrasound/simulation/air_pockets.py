@@ -58,11 +58,12 @@ class AirPockets:
         rng: np.random.Generator,
     ) -> None:
         self._threshold = float(ndtri(1 - parameters.share)) if parameters.share else np.inf
-        self._across, self._along = rng.normal(size=(2, _WAVES)) / parameters.size
+        across, self._along = rng.normal(size=(2, _WAVES)) / parameters.size
         self._in_time = rng.normal(size=_WAVES) / parameters.period
         self._phase = rng.uniform(0, 2 * np.pi, _WAVES)
         self._geometry = geometry
         self._elements = transducer.element_pitch * _centred(transducer.elements)
+        self._across = np.exp(1j * np.multiply.outer(across, self._elements))
         self._height = transducer.element_height
         focus, pitch = imaging.focus_depth, transducer.element_pitch
         sent = min(transducer.transmit_elements * pitch, focus / transducer.transmit_f_number)
@@ -94,8 +95,7 @@ class AirPockets:
         places = swept[part, np.newaxis] + self._height / _ELEVATIONS * _centred(_ELEVATIONS)
         turns = np.multiply.outer(places, self._along) + self._phase
         turns += np.multiply.outer(times, self._in_time)[:, np.newaxis]
-        across = np.exp(1j * np.multiply.outer(self._across, self._elements))
-        field = (np.exp(1j * turns) @ across).real * np.sqrt(2 / _WAVES)
+        field = (np.exp(1j * turns) @ self._across).real * np.sqrt(2 / _WAVES)
         return np.asarray(field > self._threshold)
 
 

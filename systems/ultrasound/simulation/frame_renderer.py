@@ -198,6 +198,11 @@ class FrameRenderer:
         """True if the image of a scene at rest changes over time."""
         return self._scene.varies or any(renderer.varies for _, renderer in self._resting)
 
+    @property
+    def needle_varies(self) -> bool:
+        """True if the echo of a needle at rest changes over time."""
+        return self._needle.varies
+
     def add_tissue(
         self, iq: NDArray[np.complex64], frames: Frames, field: Displacements
     ) -> FrameViews:

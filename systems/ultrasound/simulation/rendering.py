@@ -89,8 +89,8 @@ class SweepRenderer:
         self.geometry: SweepGeometry = self._renderer.geometry
         self.beam: Beam = self._renderer.beam
         self.point_spread: PointSpread = point_spread(self.beam, self.geometry)
-        self._tissue = {
-            (direction, part.start): _Tissue(self._renderer, self._shape(part))
+        self._echoes = {
+            (direction, part.start): _Echoes(self._renderer, self._shape(part))
             for direction in (1, -1)
             for part in self.groups(direction)
         }
@@ -297,19 +297,19 @@ class SweepRenderer:
 
     def _echo(self, frames: Frames) -> NDArray[np.complex64]:
         """Return the echoes of a group of frames."""
-        return self._tissue[frames.direction, frames.part.start].echo(frames)
+        return self._echoes[frames.direction, frames.part.start].echo(frames)
 
     def _shape(self, part: slice) -> tuple[int, int, int]:
         return (part.stop - part.start, self.geometry.lines, self.geometry.samples)
 
 
-class _Tissue:
-    """Echoes of the tissue in a group of frames, kept as long as nothing in view changes."""
+class _Echoes:
+    """Echoes of a group of frames: of the tissue, and with the needle, while nothing changes."""
 
     def __init__(self, renderer: FrameRenderer, shape: tuple[int, int, int]) -> None:
         self._renderer = renderer
-        self._iq = np.empty(shape, np.complex64)
-        self._key = b""
+        self._tissue, self._all = np.empty((2, *shape), np.complex64)
+        self._key, self._needle_key = b"", b""
         self._views: FrameViews
         self._lock = Lock()
 
@@ -318,17 +318,28 @@ class _Tissue:
         renderer = self._renderer
         # Rounded to 10 nm, or 0.0003 rad of phase, so that a probe at rest reuses its echoes.
         frames = replace(frames, X_TP=np.round(frames.X_TP, 8))
+        times = frames.times.tobytes()
         with self._lock:
-            key = frames.X_TP.tobytes() + (frames.times.tobytes() if renderer.varies else b"")
             field = displacements(frames.deformations)
+            key = frames.X_TP.tobytes() + (times if renderer.varies else b"")
             key += b"".join(np.asarray(each).tobytes() for each in field)
             if self._key != key:
-                self._views = renderer.add_tissue(self._iq, frames, field)
-                self._key = key
-            iq = self._iq.copy()
-            views = self._views
-        renderer.add_needle(iq, frames, views)
-        return iq
+                self._views = renderer.add_tissue(self._tissue, frames, field)
+                self._key, self._needle_key = key, b""
+            key = b"at" + (times if renderer.needle_varies else b"")
+            key += b"".join(_content(needle) for needle in frames.needles)
+            if self._needle_key != key:
+                self._all[:] = self._tissue
+                renderer.add_needle(self._all, frames, self._views)
+                self._needle_key = key
+            return self._all.copy()
+
+
+def _content(needle: Needle) -> bytes:
+    """Return what a needle's echo depends on."""
+    track = b"" if needle.track is None else needle.track.tobytes()
+    numbers = np.array([len(needle.shaft), len(track), needle.radius, needle.roll])
+    return numbers.tobytes() + needle.shaft.tobytes() + track
 
 
 def _each(function: Callable[[T], None], items: Sequence[T]) -> None:

@@ -1,22 +1,20 @@
 """Settings of a simulated scanner: needle, gel, air, noise and errors."""
 
 from dataclasses import dataclass, field
+from typing import Annotated, TypeAlias
 
-from sonoservo.systems.signals.requirements import (
-    NotNegative,
-    Positive,
-    check_bounds,
-    require,
-)
+from sonoservo.systems.signals.requirements import Bounded, NotNegative, Positive, within
 from sonoservo.systems.ultrasound.simulation.air_pockets import AirPocketParameters
 from sonoservo.systems.ultrasound.simulation.errors.clock import ClockParameters
-from sonoservo.systems.ultrasound.simulation.errors.connection import ConnectionParameters
+from sonoservo.systems.ultrasound.simulation.errors.connection import ConnectionParameters, Share
 from sonoservo.systems.ultrasound.simulation.errors.motor import MotorParameters
 from sonoservo.systems.ultrasound.simulation.needles.needle_echo import NeedleEchoParameters
 
+Decibels: TypeAlias = Annotated[float, within(-300, 20, " dB")]
+
 
 @dataclass(kw_only=True)
-class ScannerParameters:
+class ScannerParameters(Bounded):
     """Parameters of the needle's echo, gel and air, noise, clutter, slow change and errors.
 
     Parameters
@@ -52,24 +50,15 @@ class ScannerParameters:
     """
 
     needle: NeedleEchoParameters = field(default_factory=NeedleEchoParameters)
-    track_db: float = -6.0
+    track_db: Decibels = -6.0
     gel_thickness: NotNegative = 3e-3
     air_pockets: AirPocketParameters = field(default_factory=AirPocketParameters)
-    noise_db: float = -50.0
-    gain_error_db: NotNegative = 1.5
-    clutter_db: float = -20.0
+    noise_db: Decibels = -50.0
+    gain_error_db: Annotated[float, within(0, 20, " dB")] = 1.5
+    clutter_db: Decibels = -20.0
     clutter_length: Positive = 0.04
-    decorrelation: float = 0.02
+    decorrelation: Share = 0.02
     decorrelation_time: Positive = 5.0
     motor: MotorParameters = field(default_factory=MotorParameters)
     clock: ClockParameters = field(default_factory=ClockParameters)
     connection: ConnectionParameters = field(default_factory=ConnectionParameters)
-
-    def __post_init__(self) -> None:
-        check_bounds(self)
-        require(self.gain_error_db <= 20, "gain_error_db", self.gain_error_db, "at most 20 dB")
-        for name in ("noise_db", "clutter_db", "track_db"):
-            value = getattr(self, name)
-            require(-300 <= value <= 20, name, value, "from -300 to 20 dB")
-        allowed = 0 <= self.decorrelation < 1
-        require(allowed, "decorrelation", self.decorrelation, "from 0, below 1")

@@ -5,6 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from sonoservo.systems.ultrasound.simulation.kernels.vector_addition import LANES
+
 BLOCKS = 8
 """Number of blocks along an edge of the scatterer tile."""
 
@@ -22,9 +24,9 @@ class ScattererTile(NamedTuple):
     block_size: float
     """Edge of a block in m; the tile's edge is `BLOCKS` times that."""
     positions: NDArray[np.float32]
-    """(3, n) positions within the block, in m."""
+    """(3, n + LANES) positions within the block, in m; the last ones are never used."""
     ranks: NDArray[np.float32]
-    """(n,) uniform numbers in [0, 1), rising within a block: a random share p lies below p."""
+    """(n + LANES,) numbers in [0, 1), rising within a block: a random share p lies below p."""
     starts: NDArray[np.int64]
     """(BLOCKS^3 + 1,) first scatterers of the blocks, with x varying slowest."""
 
@@ -38,7 +40,9 @@ def scatterer_tile(density: float, rng: np.random.Generator) -> ScattererTile:
     block = np.repeat(np.arange(BLOCKS**3), counts)
     return ScattererTile(
         block_size=block_size,
-        positions=(rng.random((3, starts[-1])) * block_size).astype(np.float32),
-        ranks=ranks[np.lexsort((ranks, block))],
+        positions=np.pad(
+            (rng.random((3, starts[-1])) * block_size).astype(np.float32), ((0, 0), (0, LANES))
+        ),
+        ranks=np.pad(ranks[np.lexsort((ranks, block))], (0, LANES)),
         starts=starts,
     )

@@ -13,7 +13,9 @@ from sonoservo.systems.files.refusals import refusing_failures
 from sonoservo.systems.files.typed_yaml import load_typed
 from sonoservo.systems.signals.body_surface import BodySurface
 from sonoservo.systems.signals.requirements import (
+    Bounded,
     NotNegative,
+    Point,
     Positive,
     at_least,
     check_bounds,
@@ -39,7 +41,7 @@ AnyStructure = Bone | Vessel | Fascia | Calcification | Gas | NWires | RestingNe
 
 
 @dataclass(kw_only=True)
-class Ball:
+class Ball(Bounded):
     """A bright inclusion full of scatterers.
 
     Parameters
@@ -52,13 +54,9 @@ class Ball:
         Mean echo intensity relative to the tissue's, at the depth of the lens's focus.
     """
 
-    centre: list[float] = field(default_factory=lambda: [0.0, 0.0, -0.04])
+    centre: Point = field(default_factory=lambda: [0.0, 0.0, -0.04])
     radius: Positive = 1e-3
     level_db: float = 25.0
-
-    def __post_init__(self) -> None:
-        require(len(self.centre) == 3, "centre", self.centre, "three coordinates in m")
-        check_bounds(self)
 
 
 @dataclass(kw_only=True)
@@ -76,14 +74,13 @@ class Fibre:
         Level of the part that is scattered in all directions, relative to ``level_db``.
     """
 
-    start: list[float] = field(default_factory=lambda: [-0.01, 0.0, -0.04])
-    end: list[float] = field(default_factory=lambda: [0.01, 0.0, -0.04])
+    start: Point = field(default_factory=lambda: [-0.01, 0.0, -0.04])
+    end: Point = field(default_factory=lambda: [0.01, 0.0, -0.04])
     level_db: float = 38.0
     diffuse_db: float = -22.0
 
     def __post_init__(self) -> None:
-        require(len(self.start) == 3, "start", self.start, "three coordinates in m")
-        require(len(self.end) == 3, "end", self.end, "three coordinates in m")
+        check_bounds(self)
         require(self.start != self.end, "end", self.end, "another point than start")
 
 
@@ -115,13 +112,7 @@ class RandomFibres:
 
     def __post_init__(self) -> None:
         check_bounds(self)
-        require(self.longest >= self.shortest, "longest", self.longest, "at least shortest")
-        require(
-            self.brightest_db >= self.dimmest_db,
-            "brightest_db",
-            self.brightest_db,
-            "at least dimmest_db",
-        )
+        _require_order(self, ("shortest", "longest"), ("dimmest_db", "brightest_db"))
         require(
             len(self.direction) == 3 and any(self.direction),
             "direction",
@@ -166,9 +157,7 @@ class RandomBalls:
 
     def __post_init__(self) -> None:
         check_bounds(self)
-        for low, high in (("smallest", "largest"), ("dimmest_db", "brightest_db")):
-            value = getattr(self, high)
-            require(value >= getattr(self, low), high, value, f"at least {low}")
+        _require_order(self, ("smallest", "largest"), ("dimmest_db", "brightest_db"))
 
     def draw(self, size: Sequence[float], rng: np.random.Generator) -> list[Ball]:
         """Draw the balls in a box of (3,) extents in m."""
@@ -235,7 +224,7 @@ class Tissue:
     random_fibres: RandomFibres = field(default_factory=RandomFibres)
     structures: list[AnyStructure] = field(default_factory=list)
     anatomy: LabelMapAnatomy | LiverAnatomy | None = None
-    sound_speed: float | None = None
+    sound_speed: Annotated[float | None, within(1300, 1800, " m/s")] = None
     fat: FatLayer = field(default_factory=FatLayer)
     seed: Annotated[int, at_least(0)] = 0
 
@@ -245,9 +234,6 @@ class Tissue:
         )
         check_bounds(self)
         require(max(self.size) <= 2, "size", self.size, "at most 2 m each; lengths are in m")
-        if self.sound_speed is not None:
-            allowed = 1300 <= self.sound_speed <= 1800
-            require(allowed, "sound_speed", self.sound_speed, "from 1300 to 1800 m/s")
         if self.surface.is_curved:
             level = self.fat.thickness == 0 and self.anatomy is None
             require(level, "shape", self.shape, "box with a layer of fat or a label map")
@@ -283,6 +269,13 @@ class Tissue:
         within = bool(self.surface.contains(point, slack=0.0))
         allowed = f"within the tissue, a {self.shape} {self.size} m large, z from its top"
         require(within, name, point, allowed)
+
+
+def _require_order(parameters: object, *limits: tuple[str, str]) -> None:
+    """Raise ValueError unless, of each pair of fields, the second is at least the first."""
+    for low, high in limits:
+        value = getattr(parameters, high)
+        require(value >= getattr(parameters, low), high, value, f"at least {low}")
 
 
 def load_tissue(name: str) -> Tissue:

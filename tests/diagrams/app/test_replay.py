@@ -19,8 +19,11 @@ from sonoservo.systems.control.controller_schedule import (
 from sonoservo.systems.display.console.console import Console, picture_volume
 from sonoservo.systems.evaluation.log import columns, write_log
 from sonoservo.systems.evaluation.metrics import summarize
-from sonoservo.systems.evaluation.reports.picture_files import read_pictures, write_pictures
-from sonoservo.systems.evaluation.reports.track_plots import picture_planes
+from sonoservo.systems.evaluation.reports.track_plots import (
+    picture_planes,
+    read_pictures,
+    write_pictures,
+)
 from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.writing import write_atomically, write_json

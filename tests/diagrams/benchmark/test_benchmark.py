@@ -21,8 +21,7 @@ from sonoservo.diagrams.benchmark.estimates import (
 from sonoservo.diagrams.benchmark.making import make_volumes
 from sonoservo.diagrams.benchmark.report import write_benchmark
 from sonoservo.diagrams.benchmark.scores import judge_sequence, reliability, score
-from sonoservo.diagrams.benchmark.sequence import acquire_sequence
-from sonoservo.diagrams.benchmark.suites import load_suites, sequence_seeds
+from sonoservo.diagrams.benchmark.sequence import acquire_sequence, load_suites, sequence_seeds
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.recording.recording import Recording
 from sonoservo.systems.recording.side_files import read_truth
@@ -125,18 +124,18 @@ def test_figures_have_the_intervals_of_the_statistics():
         "axis_deg": [1.0],
     }  # fmt: skip
     figures = score([plain] * 10)
-    assert figures["found"].text == "10 of 10"
-    assert figures["found"].low == pytest.approx(0.722, abs=1e-3)  # Wilson
-    assert figures["false_finds_per_hour"].high == pytest.approx(3.69, abs=0.01)  # Garwood, 1 h
-    assert figures["kept"].value == pytest.approx(90)
-    assert figures["inside"].value == pytest.approx(95)
-    assert figures["tip_mm"].value == 1.0
-    assert figures["tip_p95_mm"].text.startswith("∞")
+    assert figures["found"]["text"] == "10 of 10"
+    assert figures["found"]["low"] == pytest.approx(0.722, abs=1e-3)  # Wilson
+    assert figures["false_finds_per_hour"]["high"] == pytest.approx(3.69, abs=0.01)  # Garwood, 1 h
+    assert figures["kept"]["value"] == pytest.approx(90)
+    assert figures["inside"]["value"] == pytest.approx(95)
+    assert figures["tip_mm"]["value"] == 1.0
+    assert figures["tip_p95_mm"]["text"].startswith("∞")
     (point,) = reliability([plain] * 10)
     assert (point["stated"], point["share"], point["volumes"]) == (pytest.approx(0.9), 0.9, 100)
-    assert figures["delay_s"].value == 1.0
+    assert figures["delay_s"]["value"] == 1.0
     nothing = {**plain, "found": None, "reacquired": None, "tip_mm": [], "axis_deg": []}
-    assert score([nothing])["found"].text == "–"
+    assert score([nothing])["found"]["text"] == "–"
 
 
 def test_a_table_reads_back_what_was_written(truth, tmp_path):

@@ -9,9 +9,8 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from pydrake.math import RigidTransform
 
-from sonoservo.diagrams.environment.commands import ActionScale
 from sonoservo.diagrams.environment.follow_needle import ENVIRONMENT
-from sonoservo.diagrams.environment.reward import RewardParameters, reward_terms
+from sonoservo.diagrams.environment.reward import ActionScale, RewardParameters, reward_terms
 from sonoservo.systems.files.refusals import ConfigurationError
 
 CHANGES = (
@@ -123,6 +122,16 @@ def test_an_action_commands_what_it_was_made_of():
 def test_a_wrong_argument_is_refused():
     with pytest.raises(ConfigurationError, match="observation: 'pixels'"):
         make(observation="pixels")
+
+
+def test_gymnasium_finds_it_by_the_room_s_name():
+    code = (
+        "import gymnasium\n"
+        "name = 'sonoservo.diagrams.environment:sonoservo/FollowNeedle-v0'\n"
+        "print(gymnasium.make(name).action_space.shape)"
+    )
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert "(4,)" in said.stdout, said.stderr
 
 
 def test_without_gymnasium_a_line_says_what_to_install():

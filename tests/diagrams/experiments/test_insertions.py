@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sonoservo.diagrams import FollowingScenario, load_scenario, make_insertion, run
-from sonoservo.diagrams.experiments.following_insertion import (
+from sonoservo.diagrams.experiments.following_scene import (
     check_beside_probe,
     check_entry,
     placed_hand,

@@ -8,8 +8,7 @@ import pytest
 from clusters.cases import calculate
 from clusters.processes import HELPERS
 
-from sonoservo.diagrams.studies.cluster.job_queue import read_job_queue
-from sonoservo.diagrams.studies.cluster.opening import open_cluster
+from sonoservo.diagrams.studies.cluster.opening import open_cluster, read_job_queue
 from sonoservo.diagrams.studies.runs import run_cases
 from sonoservo.diagrams.studies.study import Case
 from sonoservo.systems.files.refusals import ConfigurationError

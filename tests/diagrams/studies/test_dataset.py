@@ -15,8 +15,7 @@ from pydrake.math import RigidTransform
 
 from sonoservo.diagrams import load_scenario
 from sonoservo.diagrams.studies.datasets.dataset import make_dataset
-from sonoservo.diagrams.studies.datasets.dataset_layouts import write_layout
-from sonoservo.diagrams.studies.datasets.dataset_sequence import needle_mask
+from sonoservo.diagrams.studies.datasets.dataset_sequence import needle_mask, write_layout
 from sonoservo.diagrams.studies.store import Store
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.recording.recording import Recording

@@ -114,7 +114,7 @@ def test_code_counts_where_the_results_come_from_it(tmp_path, monkeypatch):
         code_fingerprint.cache_clear()
         return code_fingerprint(*modules)
 
-    work = "sonoservo.diagrams.studies.following.cases"
+    work = "sonoservo.diagrams.studies.following.analysis"
     unknown = "my_study"
     try:
         first, whole = code_fingerprint(work), code_fingerprint(unknown)

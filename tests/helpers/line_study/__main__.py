@@ -5,8 +5,7 @@ from dataclasses import astuple, dataclass, fields
 
 import numpy as np
 
-from sonoservo.diagrams.benchmark.sequence import acquire_sequence
-from sonoservo.diagrams.benchmark.suites import load_suites
+from sonoservo.diagrams.benchmark.sequence import acquire_sequence, load_suites
 from sonoservo.diagrams.studies.robustness.runs import at_times, conspicuous_lengths, in_frame
 from sonoservo.systems.signals.acquisition import acquired_from
 from sonoservo.systems.tracking.line_belief import LineBelief, follow

@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydrake.math import RigidTransform
 
-from sonoservo.systems.evaluation.conspicuity import conspicuous_length
+from sonoservo.systems.evaluation.success import conspicuous_length
 from sonoservo.systems.signals.volume import Volume
 
 DB = 0.25

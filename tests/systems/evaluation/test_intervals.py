@@ -1,13 +1,9 @@
-import warnings
-
 import numpy as np
 import pytest
 
 from sonoservo.systems.evaluation.intervals import (
     UNBOUNDED,
-    bootstrap_interval,
     count_interval,
-    mean_interval,
     proportion_interval,
     run_interval,
 )
@@ -27,26 +23,6 @@ def test_a_proportion_has_wilson_s_interval():
         proportion_interval(3, 2)
 
 
-@pytest.mark.parametrize("statistic", ["mean", "median"])
-def test_the_interval_of_many_normal_values_is_that_of_theory(statistic):
-    values = 3 + np.random.default_rng(1).normal(size=400)
-    low, high = bootstrap_interval(values, statistic)
-    width = {"mean": 1.0, "median": 1.2533}[statistic] * 2 * 1.96 / 20
-    assert low < getattr(np, statistic)(values) < high
-    assert high - low == pytest.approx(width, rel=0.2)
-    assert bootstrap_interval(values, statistic) == (low, high)
-
-
-def test_intervals_exist_for_few_and_equal_values_and_runs_without_a_value():
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        assert np.isnan(bootstrap_interval([1.0])).all()
-        assert bootstrap_interval([2.0, 2.0, 2.0]) == (2.0, 2.0)
-        assert bootstrap_interval([1.0, 2.0, np.nan, 4.0]) == bootstrap_interval([1.0, 2.0, 4.0])
-        low, high = bootstrap_interval([1.0, 1.0, 1.0, 5.0], "median")
-    assert 1 <= low <= high <= 5
-
-
 def median(values):
     return float(np.quantile(values, 0.5, method="inverted_cdf"))
 
@@ -63,11 +39,11 @@ def test_covers_the_truth_in_about_95_percent():
 
 def test_means_of_one_value_a_run():
     values = np.random.default_rng(1).normal(size=50)
-    low, high = mean_interval(values)
+    low, high = run_interval(values)
     assert low < values.mean() < high
     assert high - low == pytest.approx(4 * values.std() / np.sqrt(50), rel=0.2)
-    assert mean_interval(values[:5]) == UNBOUNDED
-    assert mean_interval(np.array([*values[:6], np.inf])).high == np.inf
+    assert run_interval(values[:5]) == UNBOUNDED
+    assert run_interval(np.array([*values[:6], np.inf])).high == np.inf
 
 
 def test_few_runs_tell_nothing():

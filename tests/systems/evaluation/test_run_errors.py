@@ -4,13 +4,16 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from pydrake.math import RigidTransform, RollPitchYaw
+from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
+from synthetic_logs import build_log
 
+from sonoservo.diagrams.studies.robustness.runs import as_in_probe
 from sonoservo.systems.evaluation.metrics import summarize
 from sonoservo.systems.evaluation.run_errors import (
     consistency,
     estimate_errors,
     features,
+    inside_stated,
     needle_speed,
     normalized_squared_errors,
 )
@@ -135,58 +138,113 @@ def test_direction_is_as_uncertain_as_its_ends():
     np.testing.assert_allclose(np.cov(directions.T), stated, atol=0.03 * np.abs(stated).max())
 
 
-@pytest.mark.parametrize("factor", [1.0, 0.5])
-def test_share_of_truth_inside_the_stated_doubt(insertion_log, factor):
+VOLUMES, LENGTH, SPEED = 4000, 0.05, 8e-3
+KINDS = ("tip", "axis", "velocity")
+SEEN = (
+    "tip", "entry", "velocity", "tip_covariance", "direction_covariance", "velocity_covariance",
+)  # fmt: skip
+
+
+def draw_log(dip_deg, stated=1.0, depth_error=0.0):
+    """Log of a needle that advances, with errors drawn from known covariances.
+
+    Deviations are stated `stated` times as large. The depth of the tip is wrong by `depth_error` in
+    m besides, in every volume.
+    """
     rng = np.random.default_rng(3)
-    volumes = len(insertion_log.volume_time)
-    known = np.isfinite(insertion_log.volume_estimate_tip[:, 0])
-    length = np.clip(5e-3 * (insertion_log.volume_time - 2), 0, 50e-3)
-    tip = np.stack([length, 0 * length, 0 * length - 0.04], axis=1)
-    moves = insertion_log.volume_time < 12
-    velocity = np.where(moves, 5e-3, 0.0)[:, np.newaxis] * [1, 0, 0]
-    stated = {}
-    for name in ("tip", "velocity", "direction"):
-        across = np.diag([1.0, 1.0, 1.0]) if name != "direction" else np.diag([0.0, 1.0, 1.0])
-        stated[name] = np.tile((factor * 1e-3) ** 2 * across, (volumes, 1, 1))
-    shares = []
-    for _ in range(20):
-        drawn = 1e-3 * rng.normal(size=(3, volumes, 3))
-        turned = np.array([1.0, 0, 0]) + drawn[2] * [0, 1, 1]
-        estimate = tip + drawn[0]
-        log = replace(
-            insertion_log,
-            volume_estimate_tip=estimate,
-            volume_estimate_entry=estimate - 0.05 * turned,
-            volume_estimate_velocity=velocity + drawn[1],
-            **{f"volume_estimate_{name}_covariance": each for name, each in stated.items()},
-        )
-        figures = consistency(log, known & (np.abs(insertion_log.volume_time - 12) > 0.3))
-        shares.append([figures[name]["within_95"] for name in ("tip", "axis", "velocity")])
-    tip_share, axis_share, velocity_share = np.mean(shares, axis=0)
-    if factor == 1:
-        np.testing.assert_allclose([tip_share, axis_share, velocity_share], 0.95, atol=0.02)
-    else:  # chi-squared with 3 and 2 degrees of freedom below a quarter of the 95 % limit
-        np.testing.assert_allclose([tip_share, velocity_share], 0.42, atol=0.03)
-        assert axis_share == pytest.approx(0.53, abs=0.03)
+    rotation = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    covariance = rotation @ np.diag([1e-6, 4e-6, 0.25e-6]) @ rotation.T
+    dip = np.deg2rad(dip_deg)
+    direction = np.array([np.cos(dip), 0.0, -np.sin(dip)])
+    tip = np.array([0.05, 0.0, -0.04])
+    tips = rng.multivariate_normal([*tip[:2], tip[2] + depth_error], covariance, VOLUMES)
+    aside = np.stack([[-direction[2], 0, direction[0]], [0.0, 1.0, 0.0]])
+    turns = 0.01 * rng.normal(size=(VOLUMES, 2))
+    turned = direction + turns @ aside
+    turned /= np.linalg.norm(turned, axis=1, keepdims=True)
+    time = np.array([0.0, 1.0, 2.0])
+    tip_then = tip + SPEED * np.outer(time - 1.0, direction)
+    X_WP = np.eye(4)
+    X_WP[:3, :3] = [[1, 0, 0], [0, 0, 1], [0, -1, 0]]
+    many = np.ones((VOLUMES, 1, 1))
+    return build_log(
+        3,
+        VOLUMES,
+        time=time,
+        X_WP=np.tile(X_WP, (3, 1, 1)),
+        measured_X_WP=np.tile(X_WP, (3, 1, 1)),
+        needle_tip=tip_then,
+        needle_points=np.linspace(tip_then - LENGTH * direction, tip_then, 9, axis=1),
+        volume_estimate_time=np.ones(VOLUMES),
+        volume_estimate_tip=tips,
+        volume_estimate_entry=tips - LENGTH * turned,
+        volume_estimate_velocity=SPEED * direction + 1e-3 * rng.normal(size=(VOLUMES, 3)),
+        volume_estimate_tip_covariance=stated**2 * many * covariance,
+        volume_estimate_direction_covariance=stated**2 * many * (1e-4 * aside.T @ aside),
+        volume_estimate_velocity_covariance=stated**2 * many * (1e-6 * np.eye(3)),
+    )
 
 
-def test_no_stated_uncertainty_holds_an_axis_that_points_backwards(insertion_log):
-    volumes = len(insertion_log.volume_time)
-    shaft = insertion_log.volume_estimate_tip - insertion_log.volume_estimate_entry
-    shares = []
-    for sense in (1, -1):
-        log = replace(
-            insertion_log,
-            volume_estimate_entry=insertion_log.volume_estimate_tip - sense * shaft,
-            volume_estimate_direction_covariance=np.tile(
-                1e-2 * np.diag([0.0, 1.0, 1.0]), (volumes, 1, 1)
-            ),
-        )
-        shares.append(consistency(log, np.ones(volumes, bool))["axis"]["within_95"])
-    assert shares == [1, 0]
+@pytest.mark.parametrize("dip_deg", [5, 60])
+@pytest.mark.parametrize("across_depth", [False, True])
+def test_errors_as_stated_are_inside_in_95_percent(dip_deg, across_depth):
+    inside = inside_stated(draw_log(dip_deg), across_depth=across_depth)
+    assert set(inside) == set(KINDS)
+    for name in KINDS:
+        assert np.mean(inside[name]) == pytest.approx(0.95, abs=0.012), name
 
 
-def test_a_log_without_covariances_states_nothing(insertion_log):
+def test_doubt_that_is_too_small_shows():
+    inside = inside_stated(draw_log(20, stated=0.5))
+    # chi-squared: P(x <= 7.81 / 4) for three degrees of freedom, P(x <= 5.99 / 4) for two
+    for name, expected in (("tip", 0.418), ("axis", 0.527), ("velocity", 0.418)):
+        assert np.mean(inside[name]) == pytest.approx(expected, abs=0.025)
+
+
+def test_an_error_in_depth_counts_only_with_the_depth():
+    log = draw_log(20, depth_error=0.02)
+    assert np.mean(inside_stated(log)["tip"]) == 0
+    assert np.mean(inside_stated(log, across_depth=True)["tip"]) == pytest.approx(0.95, abs=0.012)
+
+
+def test_an_axis_that_points_backwards_is_outside():
+    log = draw_log(20)
+    backwards = 2 * log.volume_estimate_tip - log.volume_estimate_entry
+    inside = inside_stated(replace(log, volume_estimate_entry=backwards))
+    assert not np.any(inside["axis"])
+    assert np.mean(inside["tip"]) == pytest.approx(0.95, abs=0.012)
+
+
+@pytest.mark.parametrize("turn_deg", [4, 90])
+def test_an_error_of_the_probe_s_pose_does_not_count_in_the_probe(turn_deg):
+    """What is measured is turned about the vertical, with all that is stated."""
+    log = draw_log(20)
+    turn = RotationMatrix.MakeZRotation(np.deg2rad(turn_deg)).matrix()
+    shown = {f"volume_estimate_{name}": getattr(log, f"volume_estimate_{name}") for name in SEEN}
+    turned = {
+        name: turn @ each @ turn.T if each.ndim == 3 else each @ turn.T
+        for name, each in shown.items()
+    }
+    measured = log.X_WP.copy()
+    measured[:, :3, :3] = turn @ measured[:, :3, :3]
+    wrong = replace(log, measured_X_WP=measured, **turned)
+    for name in KINDS:
+        seen = inside_stated(as_in_probe(wrong))[name]
+        assert np.mean(seen) == pytest.approx(0.95, abs=0.012), name
+    assert np.mean(inside_stated(wrong)["axis"]) < 0.1
+
+
+def test_nothing_stated_is_neither_inside_nor_outside(insertion_log):
+    for values in inside_stated(insertion_log).values():
+        assert set(values) == {None}
     known = np.ones(len(insertion_log.volume_time), bool)
     nothing = {"nees": None, "within_95": None}
-    assert consistency(insertion_log, known) == dict.fromkeys(("tip", "axis", "velocity"), nothing)
+    assert consistency(insertion_log, known) == dict.fromkeys(KINDS, nothing)
+
+
+@pytest.mark.parametrize(("stated", "nees", "within"), [(1.0, 1.0, 0.95), (0.5, 4.0, 0.42)])
+def test_a_summary_has_the_share_and_the_size_of_squared_errors(stated, nees, within):
+    judged = np.arange(VOLUMES) < VOLUMES // 2
+    tip = consistency(draw_log(20, stated), judged)["tip"]
+    assert tip["nees"] == pytest.approx(nees, rel=0.1)
+    assert tip["within_95"] == pytest.approx(within, abs=0.03)

@@ -3,8 +3,7 @@ import pytest
 from pydrake.math import RigidTransform
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from sonoservo.systems.evaluation.source_checks import Grade, check_delay
-from sonoservo.systems.evaluation.sweep_delay import sweep_delay
+from sonoservo.systems.evaluation.source_checks import Grade, check_delay, sweep_delay
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.ultrasound.frame_reconstruction import PosedFrame
 

@@ -1,3 +1,2 @@
-from .shape_filter import PublishedBelief as PublishedBelief
 from .shape_filter import PublishedParticleFilter as PublishedParticleFilter
 from .shape_filter import PublishedParticleFilterParameters as PublishedParticleFilterParameters

@@ -78,9 +78,9 @@ class PublishedLocalizationParameters(Bounded):
     first_margin: Positive = 20e-3
     max_angle_deg: Positive = 35.0
     min_length: Positive = 20e-3
-    max_gap: Positive = 3e-3
+    max_gap: Positive = 6e-3
     std: Positive = 1e-3
-    end_contrast: Positive = 6.0
+    end_contrast: Positive = 9.0
     ransac: RansacParameters = field(default_factory=_published_ransac)
     profile: TipParameters = field(default_factory=_published_profile)
 

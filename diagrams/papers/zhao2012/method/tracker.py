@@ -36,7 +36,7 @@ def _published_localization() -> WholeVolumeLocalizationParameters:
     return WholeVolumeLocalizationParameters(
         candidate_volume=1000e-9,
         max_gap=3e-3,
-        end_contrast=6.0,
+        end_contrast=9.0,
         ransac=RansacParameters(
             residual_threshold=0.75e-3, refits=1, draws_factor=1.0, max_trials=20000
         ),
@@ -77,7 +77,7 @@ class Zhao2012AsPublishedParameters(TrackerParameters):
         Thresholds and noise of section 2.2. The number of voxels and f_0 are those that gave the
         most right lines in whole volumes of fig. 5 of Chatelain 2013, on seeds from 100 on: with
         less than 500 mm^3 or more than 1 mm, bright spots in the tissue win. A steel needle is some
-        20 dB brighter where a scan line meets it at a right angle, so it ends 6 dB above its
+        20 dB brighter where a scan line meets it at a right angle, so it ends 9 dB above its
         surroundings, as in Chatelain 2013 as published.
     velocimeter
         Windows of section 2.3. The published windows are 7 planes, 21 lines and 51 samples in 11,

@@ -63,7 +63,7 @@ class WholeVolumeLocalizationParameters(WholeVolumeRansacParameters):
         covariance R of eq. 3, in m.
     """
 
-    min_length: Positive = 10e-3
+    min_length: Positive = 20e-3
     std: Positive = 1e-3
 
     def __post_init__(self) -> None:

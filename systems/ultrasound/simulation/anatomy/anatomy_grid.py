@@ -9,18 +9,10 @@ from numpy.typing import NDArray
 from scipy.ndimage import affine_transform, find_objects, gaussian_filter
 
 from sonoservo.systems.signals.immutable import Immutable
-from sonoservo.systems.signals.requirements import (
-    check_bounds,
-    require,
-    require_not_negative,
-    within,
-)
+from sonoservo.systems.signals.requirements import Bounded, Fraction, check_bounds, require, within
 from sonoservo.systems.ultrasound.simulation.anatomy.label_map import LabelMap
 from sonoservo.systems.ultrasound.simulation.anatomy.level_surface import level_surface
-from sonoservo.systems.ultrasound.simulation.structures.structure import (
-    require_level,
-    require_levels,
-)
+from sonoservo.systems.ultrasound.simulation.structures.structure import Diffuse, Level, Repeated
 from sonoservo.systems.ultrasound.simulation.structures.surface import Surface, SurfaceEcho
 
 _SMOOTHING = 0.7
@@ -38,7 +30,7 @@ _TOPS = {
 
 
 @dataclass(kw_only=True)
-class LabelProperties:
+class LabelProperties(Bounded):
     """Acoustic properties of one label of a map.
 
     Parameters
@@ -67,27 +59,12 @@ class LabelProperties:
     name: str = ""
     level_db: Annotated[float, within(-100, 40, " dB")] = 0.0
     density: Annotated[float, within(0.02, 1)] = 1.0
-    attenuation: float | None = None
-    sound_speed: float | None = None
-    boundary_db: float | None = None
-    diffuse_db: float = -14.0
-    shadow: float = 0.0
-    reverberation_db: float | None = None
-
-    def __post_init__(self) -> None:
-        check_bounds(self)
-        if self.attenuation is not None:
-            require_not_negative(attenuation=self.attenuation)
-            require(self.attenuation <= 30, "attenuation", self.attenuation, "at most 30 dB/cm/MHz")
-        if self.sound_speed is not None:
-            allowed = 300 <= self.sound_speed <= 6000
-            require(allowed, "sound_speed", self.sound_speed, "from 300 to 6000 m/s")
-        if self.boundary_db is not None:
-            require_level(boundary_db=self.boundary_db)
-        if self.reverberation_db is not None:
-            allowed = self.reverberation_db <= -3
-            require(allowed, "reverberation_db", self.reverberation_db, "at most -3 dB")
-        require_levels(self.diffuse_db, self.shadow)
+    attenuation: Annotated[float | None, within(0, 30, " dB/cm/MHz")] = None
+    sound_speed: Annotated[float | None, within(300, 6000, " m/s")] = None
+    boundary_db: Level | None = None
+    diffuse_db: Diffuse = -14.0
+    shadow: Fraction = 0.0
+    reverberation_db: Repeated | None = None
 
     @property
     def echo(self) -> SurfaceEcho | None:
@@ -149,15 +126,13 @@ class AnatomyParameters:
     """
 
     top: str = "A"
-    spacing: float = 0.6e-3
-    surface_spacing: float = 1.2e-3
+    spacing: Annotated[float, within(1e-4, 5e-3, " m")] = 0.6e-3
+    surface_spacing: Annotated[float, within(1e-4, 5e-3, " m")] = 1.2e-3
     labels: list[LabelProperties] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         require(self.top in _TOPS, "top", self.top, f"one of {', '.join(_TOPS)}")
-        for name in ("spacing", "surface_spacing"):
-            value = getattr(self, name)
-            require(1e-4 <= value <= 5e-3, name, value, "from 1e-4 to 5e-3 m")
+        check_bounds(self)
         numbers = [each.label for each in self.labels]
         require(len(set(numbers)) == len(numbers), "labels", numbers, "different from each other")
         require(len(numbers) < 255, "labels", len(numbers), "at most 254 entries")

@@ -2,17 +2,18 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydrake.math import RigidTransform
 from pydrake.trajectories import PiecewisePose
 
-from sonoservo.systems.signals.requirements import require
+from sonoservo.systems.signals.requirements import Bounded, within
 
 
 @dataclass(kw_only=True)
-class ClockParameters:
+class ClockParameters(Bounded):
     """Scanner's clock, relative to that of arm and program.
 
     Parameters
@@ -23,13 +24,8 @@ class ClockParameters:
         Rate at which the scanner's clock gains on the arm's, in s/s; 1e-4 is 100 ppm.
     """
 
-    offset: float = 0.0
-    drift: float = 0.0
-
-    def __post_init__(self) -> None:
-        offset, drift = self.offset, self.drift
-        require(bool(abs(offset) <= 1), "offset", offset, "from -1 to 1 s")
-        require(bool(abs(drift) <= 0.01), "drift", drift, "from -0.01 to 0.01")
+    offset: Annotated[float, within(-1, 1, " s")] = 0.0
+    drift: Annotated[float, within(-0.01, 0.01)] = 0.0
 
     @property
     def is_right(self) -> bool:

@@ -1,25 +1,25 @@
 """Connection from the scanner to the program: what is lost, comes late, or has to wait."""
 
 from dataclasses import dataclass
-from typing import Generic, TypeVar
+from typing import Annotated, Generic, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sonoservo.systems.signals.immutable import Immutable, seal
-from sonoservo.systems.signals.requirements import (
-    NotNegative,
-    check_bounds,
-    require,
-)
+from sonoservo.systems.signals.requirements import Bound, Bounded, NotNegative
 
 T = TypeVar("T")
+
+Share: TypeAlias = Annotated[
+    float, Bound("a share of at least 0 and below 1", lambda share: 0 <= share < 1)
+]
 
 _SLACK = 1e-9
 
 
 @dataclass(kw_only=True)
-class ConnectionParameters:
+class ConnectionParameters(Bounded):
     """Losses and delays between the scanner and the program that takes its sweeps.
 
     Parameters
@@ -32,15 +32,9 @@ class ConnectionParameters:
         Mean time by which a sweep comes late, in s; exponentially distributed.
     """
 
-    lost_frames: float = 0.0
-    lost_sweeps: float = 0.0
+    lost_frames: Share = 0.0
+    lost_sweeps: Share = 0.0
     lateness: NotNegative = 0.0
-
-    def __post_init__(self) -> None:
-        for name in ("lost_frames", "lost_sweeps"):
-            share = getattr(self, name)
-            require(bool(0 <= share < 1), name, share, "a share of at least 0 and below 1")
-        check_bounds(self)
 
     def is_lost(self, rng: np.random.Generator) -> bool:
         """Return True if a sweep is lost."""

@@ -3,12 +3,14 @@
 import numpy as np
 from numba import njit
 
-from sonoservo.systems.sampling.kernels import OPTIONS
+from sonoservo.systems.sampling.kernels import INNER
 
 
-@njit(**OPTIONS)
-def frame_blocks(X_FT, box, block_size, depth, half_angle, thickness, margin, rays):  # type: ignore[no-untyped-def]
-    """Return the first and last block (exclusive) along T's axes that a frame can meet.
+@njit(**INNER)
+def frame_blocks(  # type: ignore[no-untyped-def]
+    first, last, X_FT, box, block_size, depth, half_angle, thickness, margin, rays
+):
+    """Write the (3,) first and last block (exclusive) along T's axes that a frame can meet.
 
     The slab has a half width in elevation, its thickness, and is enlarged by a margin in the
     frame's plane; lengths in m, the largest angle of a line to the middle one in rad.
@@ -19,8 +21,6 @@ def frame_blocks(X_FT, box, block_size, depth, half_angle, thickness, margin, ra
     furthest = depth + rays.array_radius - rays.centre_offset + margin
     middle = (0.0, (nearest + furthest) / 2, 0.0)
     half = ((depth + rays.array_radius) * sine + margin, (furthest - nearest) / 2, thickness)
-    first = np.empty(3, np.int64)
-    last = np.empty(3, np.int64)
     for axis in range(3):
         centre = 0.0
         extent = 0.0
@@ -29,10 +29,9 @@ def frame_blocks(X_FT, box, block_size, depth, half_angle, thickness, margin, ra
             extent += abs(X_FT[other, axis]) * half[other]
         first[axis] = np.int64(np.floor(max(centre - extent, box[0, axis]) / block_size))
         last[axis] = np.int64(np.ceil(min(centre + extent, box[1, axis]) / block_size))
-    return first, last
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def count_below(ranks, start, end, limit):  # type: ignore[no-untyped-def]
     """Return the number of sorted ranks from start to end that are below a limit."""
     first = start
@@ -45,7 +44,7 @@ def count_below(ranks, start, end, limit):  # type: ignore[no-untyped-def]
     return first - start
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def keep_between(chosen, count, xs, ys, zs, low, high):  # type: ignore[no-untyped-def]
     """Remove the chosen scatterers that lie outside a box; return the number left."""
     left = 0
@@ -63,7 +62,7 @@ def keep_between(chosen, count, xs, ys, zs, low, high):  # type: ignore[no-untyp
     return left
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def misses(x, y, z, slack, aside, reach, share, twist_per_radian, rays):  # type: ignore[no-untyped-def]
     """Return True if no point near a point in F can be in the frame's beam.
 

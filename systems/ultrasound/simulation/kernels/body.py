@@ -3,10 +3,10 @@
 import numpy as np
 from numba import njit
 
-from sonoservo.systems.sampling.kernels import OPTIONS
+from sonoservo.systems.sampling.kernels import INNER
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def way_through(point, direction, box):  # type: ignore[no-untyped-def]
     """Return the distances in m at which a ray in T enters and leaves the body.
 
@@ -46,7 +46,7 @@ def way_through(point, direction, box):  # type: ignore[no-untyped-def]
     return max(enter, (-b - root) / a), min(leave, (-b + root) / a)
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def keep_inside(chosen, count, xs, ys, zs, x0, y0, z0, box):  # type: ignore[no-untyped-def]
     """Remove chosen scatterers that lie outside a curved body; return the number left."""
     centre_x = (box[1, 0] + box[0, 0]) / 2

@@ -3,7 +3,7 @@
 import numpy as np
 from numba import njit
 
-from sonoservo.systems.sampling.kernels import OPTIONS
+from sonoservo.systems.sampling.kernels import INNER, OPTIONS
 from sonoservo.systems.ultrasound.simulation.kernels.displacement import (
     displace,
     frame_field,
@@ -37,7 +37,7 @@ _FURTHEST_OUT = 2.0 * _ELEVATION_WIDENING
 _MAIN_REACH = 4.5
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def add_point(layer, rays, pulse, place, closer, amplitude, shadow):  # type: ignore[no-untyped-def]
     """Add the echo of one bright point in F to a `Layer`; return True if the frame sees it.
 
@@ -98,27 +98,36 @@ def seen_within(rays):  # type: ignore[no-untyped-def]
 @njit(**OPTIONS)
 def render_points(iq, sights, rays, points, amplitudes, pulse):  # type: ignore[no-untyped-def]
     """Add inclusions, (n, 3) in T and (n,) complex, to (frames, lines, samples) echoes."""
-    view, fields = sights.bent, sights.fields
     frames, lines, samples = iq.shape
-    taps = pulse.shape[1] // 2
-    bends, deforms = len(view.table) > 0, len(fields.counts) > 0
-    slab = seen_within(rays) + view.furthest + fields.deepest + fields.widest_push
-    layer = empty_layer(lines, samples, taps)
+    node, F = np.empty(15), np.empty((3, 3))
+    slab = seen_within(rays) + sights.bent.furthest
+    slab += sights.fields.deepest + sights.fields.widest_push
+    layer = empty_layer(lines, samples, pulse.shape[1] // 2)
     for frame in range(frames):
-        X_FT = sights.X_FT[frame]
-        node = np.empty(15)
-        F = np.empty((3, 3))
-        field = frame_field(fields, frame)
-        seen = False
-        for i in range(len(points)):
-            x, y, z = transformed(X_FT, points[i, 0], points[i, 1], points[i, 2])
-            if abs(z) > slab:
-                continue
-            if deforms:
-                x, y, z = displace(points[i, 0], points[i, 1], points[i, 2], field, True, F)
-                x, y, z = transformed(X_FT, x, y, z)
-            if bends:
-                x, y, z = look_up(x, y, z, view, frame, node)
-            seen |= add_point(layer, rays, pulse, (x, y, z), 0.0, amplitudes[i], 0.0)
-        if seen:
+        field = frame_field(sights.fields, frame)
+        if _add_points(layer, sights, frame, field, rays, slab, points, amplitudes, pulse, node, F):
             add_layer(iq[frame], layer)
+
+
+@njit(**INNER)
+def _add_points(  # type: ignore[no-untyped-def]
+    layer, sights, frame, field, rays, slab, points, amplitudes, pulse, node, F
+):
+    """Add inclusions to a frame's layer; return True if it sees any.
+
+    None is seen beyond the slab's half width in m; node (15,) and F (3, 3) are memory.
+    """
+    view, X_FT = sights.bent, sights.X_FT[frame]
+    bends, deforms = len(view.table) > 0, len(sights.fields.counts) > 0
+    seen = False
+    for i in range(len(points)):
+        x, y, z = transformed(X_FT, points[i, 0], points[i, 1], points[i, 2])
+        if abs(z) > slab:
+            continue
+        if deforms:
+            x, y, z = displace(points[i, 0], points[i, 1], points[i, 2], field, True, F)
+            x, y, z = transformed(X_FT, x, y, z)
+        if bends:
+            x, y, z = look_up(x, y, z, view, frame, node)
+        seen |= add_point(layer, rays, pulse, (x, y, z), 0.0, amplitudes[i], 0.0)
+    return seen

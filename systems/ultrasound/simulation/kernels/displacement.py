@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from sonoservo.systems.sampling.kernels import OPTIONS
+from sonoservo.systems.sampling.kernels import INNER, OPTIONS
 from sonoservo.systems.ultrasound.simulation.kernels.needle_push import (
     nearest_on_shaft,
     push,
@@ -94,7 +94,7 @@ def frame_field(fields, frame):  # type: ignore[no-untyped-def]
     )
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def indent(x, y, z, field, F):  # type: ignore[no-untyped-def]
     """Return the displacement in m of a point in T by a rigid sphere, and write its gradient.
 
@@ -145,7 +145,7 @@ def indent(x, y, z, field, F):  # type: ignore[no-untyped-def]
     return -d * p * px, -d * p * py, d * q - V
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def displace(x, y, z, field, pushed, F):  # type: ignore[no-untyped-def]
     """Return the displaced position in T, in m, of a point in T, and write its gradient.
 
@@ -185,7 +185,7 @@ def displace(x, y, z, field, pushed, F):  # type: ignore[no-untyped-def]
     return x, y, z
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def displacement_limit(x, y, z, field):  # type: ignore[no-untyped-def]
     """Return an upper limit in m of the displacement of a point in T; see `displace`."""
     limit = field.widest_push
@@ -198,7 +198,7 @@ def displacement_limit(x, y, z, field):  # type: ignore[no-untyped-def]
     return limit
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def limit_along(limit, cosine, field):  # type: ignore[no-untyped-def]
     """Return an upper limit in m of a displacement's component along a direction.
 

@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from sonoservo.systems.sampling.kernels import OPTIONS
+from sonoservo.systems.sampling.kernels import INNER, OPTIONS
 from sonoservo.systems.ultrasound.simulation.kernels.blocks import (
     count_below,
     frame_blocks,
@@ -38,7 +38,7 @@ from sonoservo.systems.ultrasound.simulation.kernels.projection import (
     transformed,
 )
 from sonoservo.systems.ultrasound.simulation.kernels.regions import Regions, weigh_scatterers
-from sonoservo.systems.ultrasound.simulation.kernels.vector_addition import deposit
+from sonoservo.systems.ultrasound.simulation.kernels.vector_addition import LANES, deposit
 from sonoservo.systems.ultrasound.simulation.scatterer_tile import BLOCKS, ScattererTile
 
 FADE = 0.1
@@ -71,6 +71,40 @@ class Scattering(NamedTuple):
     kernel: LineKernel
 
 
+class _Memory(NamedTuple):
+    """Memory for the scatterers of a block, and for transforms of a frame and a block."""
+
+    line: NDArray[np.float32]
+    sample: NDArray[np.float32]
+    cosine: NDArray[np.float32]
+    sine: NDArray[np.float32]
+    kept: NDArray[np.bool_]
+    chosen: NDArray[np.uint64]
+    moved: NDArray[np.float32]
+    R: NDArray[np.float32]
+    node: NDArray[np.float64]
+    F: NDArray[np.float64]
+    M: NDArray[np.float64]
+    bent: NDArray[np.float64]
+    first: NDArray[np.int64]
+    last: NDArray[np.int64]
+
+
+@njit(**OPTIONS)
+def _memory(starts):  # type: ignore[no-untyped-def]
+    """Return memory for the largest block of a tile."""
+    n = 0
+    for block in range(starts.size - 1):
+        n = max(n, starts[block + 1] - starts[block] + LANES)
+    return _Memory(
+        np.empty(n, np.float32), np.empty(n, np.float32), np.empty(n, np.float32),
+        np.empty(n, np.float32), np.empty(n, np.bool_), np.empty(n + 1, np.uint64),
+        np.empty((3, n), np.float32), np.empty((3, 3), np.float32), np.empty(15),
+        np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)),
+        np.empty(3, np.int64), np.empty(3, np.int64),
+    )  # fmt: skip
+
+
 @njit(**OPTIONS)
 def render_tissue(iq, sights, rays, tissue, lumens):  # type: ignore[no-untyped-def]
     """Write the tissue's echoes to (frames, lines, samples) complex64 samples.
@@ -82,21 +116,32 @@ def render_tissue(iq, sights, rays, tissue, lumens):  # type: ignore[no-untyped-
     pad = len(tissue.kernel.ends) // 2 + 1
     taps = tissue.pulse.shape[1] // 2
     accumulator = np.empty((lines + 2 * pad, 2 * (samples + 2 * taps)), np.float32)
+    row = np.empty(2 * samples, np.float32)
+    memory = _memory(tissue.tile.starts)
+    reach = REACH / np.sqrt(2 * rays.elevation_precision)
     for frame in range(frames):
         accumulator[:] = 0
-        deposit_tissue(accumulator, sights, frame, rays, tissue, lumens[:, frame])
-        blur_lines(iq[frame], accumulator, tissue.kernel, taps)
+        field = frame_field(sights.fields, frame)
+        _deposit_tissue(
+            accumulator, sights, frame, field, rays, tissue, lumens[:, frame], reach, reach.max(),
+            memory,
+        )  # fmt: skip
+        blur_lines(iq[frame], accumulator, tissue.kernel, taps, row)
 
 
-@njit(**OPTIONS)
-def deposit_tissue(accumulator, sights, frame, rays, tissue, lumens):  # type: ignore[no-untyped-def]
+@njit(**INNER)
+def _deposit_tissue(  # type: ignore[no-untyped-def]
+    accumulator, sights, frame, field, rays, tissue, lumens, reach, furthest, memory
+):
     """Deposit the scatterers that a frame's beam meets.
 
     The accumulator is (lines + 2 pad, 2 (samples + 2 taps)) float32, real and imaginary parts
-    alternating; ``lumens`` is (2, tubes).
+    alternating; ``lumens`` is (2, tubes), ``reach`` the (samples,) half width of the beam in
+    elevation in m, and ``furthest`` its maximum.
     """
     box, regions, pulse = tissue.box, tissue.regions, tissue.pulse
-    view, fields, X_FT = sights.bent, sights.fields, sights.X_FT[frame]
+    view, X_FT = sights.bent, sights.X_FT[frame]
+    line, sample, cosine, sine, kept, chosen, moved, R, node, F, M, bent, first, last = memory
     block_size, positions, ranks, starts = tissue.tile
     lines = accumulator.shape[0]
     taps = pulse.shape[1] // 2
@@ -106,21 +151,21 @@ def deposit_tissue(accumulator, sights, frame, rays, tissue, lumens):  # type: i
     lead = np.float32(taps - rays.lead)
     last_line = np.float32(lines - 1.5)
     last_sample = np.float32(samples - taps)
-    R = X_FT[:, :3].astype(np.float32)
+    for i in range(3):
+        for j in range(3):
+            R[i, j] = X_FT[i, j]
     depth = (count - 1) / rays.samples_per_metre
     half_angle = (rays.middle_line + pad) / rays.lines_per_radian
     twist_per_radian = rays.twist * rays.lines_per_radian
     radius = _HALF_DIAGONAL * block_size
     support = (abs(X_FT[2, 0]) + abs(X_FT[2, 1]) + abs(X_FT[2, 2])) * block_size / 2
-    reach = REACH / np.sqrt(2 * rays.elevation_precision)
     twist_slack = abs(twist_per_radian) * radius
-    thickness = reach.max() + abs(twist_per_radian) * half_angle * (depth + rays.array_radius)
+    thickness = furthest + abs(twist_per_radian) * half_angle * (depth + rays.array_radius)
     edge_cosine = np.cos(min(half_angle, np.pi / 2))
     edge_sine = np.sin(min(half_angle, np.pi / 2))
-    bends, deforms = len(view.table) > 0, len(fields.counts) > 0
-    field = frame_field(fields, frame)
-    node, bent, F = np.empty(15), np.empty((3, 3)), np.empty((3, 3))
-    M = np.empty((3, 3)) if deforms else X_FT
+    bends, deforms = len(view.table) > 0, len(sights.fields.counts) > 0
+    if not deforms:
+        M = X_FT
     A = bent if bends else M
     margin = field.depth + field.widest_push
     widest_bend = largest_aside(view, frame)
@@ -132,17 +177,7 @@ def deposit_tissue(accumulator, sights, frame, rays, tissue, lumens):  # type: i
         thickness += widest_bend
     widest_slope = np.tan(min(widest, 1.5))
     closest = thickness + limit_along(margin, X_FT[2, 2], field)
-    first, last = frame_blocks(X_FT, box, block_size, depth, widest, closest, margin, rays)
-    largest = 0
-    for block in range(starts.size - 1):
-        largest = max(largest, starts[block + 1] - starts[block])
-    line = np.empty(largest, np.float32)
-    sample = np.empty(largest, np.float32)
-    cosine = np.empty(largest, np.float32)
-    sine = np.empty(largest, np.float32)
-    kept = np.empty(largest, np.bool_)
-    chosen = np.empty(largest + 1, np.uint64)
-    moved = np.empty((3, largest), np.float32)
+    frame_blocks(first, last, X_FT, box, block_size, depth, widest, closest, margin, rays)
     for bx in range(first[0], last[0]):
         for by in range(first[1], last[1]):
             for bz in range(first[2], last[2]):
@@ -225,6 +260,8 @@ def deposit_tissue(accumulator, sights, frame, rays, tissue, lumens):  # type: i
                 start = starts[block]
                 most = max(rays.share[at + span], rays.share[at - span], share) * (1 + FADE)
                 n = count_below(ranks, start, starts[block + 1], np.float32(most))
+                # Whole vectors only: the compiler takes up what is left over one by one.
+                whole = (n + LANES - 1) // LANES * LANES
                 ox = np.float32(x - (A[0, 0] + A[0, 1] + A[0, 2]) * block_size / 2)
                 oy = np.float32(y - (A[1, 0] + A[1, 1] + A[1, 2]) * block_size / 2)
                 oz = np.float32(z - (A[2, 0] + A[2, 1] + A[2, 2]) * block_size / 2)
@@ -242,19 +279,19 @@ def deposit_tissue(accumulator, sights, frame, rays, tissue, lumens):  # type: i
                         by - regions.first_block[1],
                         bz - regions.first_block[2],
                     ]
-                xs = positions[0, start : start + n]
-                ys = positions[1, start : start + n]
-                zs = positions[2, start : start + n]
-                rank = ranks[start : start + n]
+                xs = positions[0, start : start + whole]
+                ys = positions[1, start : start + whole]
+                zs = positions[2, start : start + whole]
+                rank = ranks[start : start + whole]
                 txs, tys, tzs = xs, ys, zs
                 if near:
                     push_scatterers(moved, xs, ys, zs, *corner, segment, field)
-                    txs, tys, tzs = moved[0, :n], moved[1, :n], moved[2, :n]
+                    txs, tys, tzs = moved[0], moved[1], moved[2]
                 xx, xy, xz = R[0, 0], R[0, 1], R[0, 2]
                 yx, yy, yz = R[1, 0], R[1, 1], R[1, 2]
                 zx, zy, zz = R[2, 0], R[2, 1], R[2, 2]
                 # There is no branch in this loop, so the compiler can vectorise it.
-                for i in range(n):
+                for i in range(whole):
                     tx = txs[i]
                     ty = tys[i]
                     tz = tzs[i]

@@ -3,7 +3,7 @@
 import numpy as np
 from numba import njit
 
-from sonoservo.systems.sampling.kernels import OPTIONS
+from sonoservo.systems.sampling.kernels import INNER, OPTIONS
 from sonoservo.systems.ultrasound.simulation.kernels.body import way_through
 
 _LOG2_10 = np.log2(10)
@@ -50,7 +50,7 @@ def form_image(  # type: ignore[no-untyped-def]
         compress(grey[frame], iq[frame], share, noise, keys[frame], grey_per_db, offsets)
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def add_haze(iq, field, clutter, changing, lasting):  # type: ignore[no-untyped-def]
     """Add clutter and a slowly changing part to the (lines, samples) echoes of a frame."""
     lines = len(iq)

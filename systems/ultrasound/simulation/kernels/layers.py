@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from sonoservo.systems.sampling.kernels import OPTIONS
+from sonoservo.systems.sampling.kernels import INNER, OPTIONS
 
 _OPAQUE = np.float32(0.02)
 
@@ -31,14 +31,14 @@ def empty_layer(lines, samples, pad):  # type: ignore[no-untyped-def]
     return Layer(echoes, np.zeros((lines, samples), np.float32), spans)
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def touch(layer, line, start, end):  # type: ignore[no-untyped-def]
     """Extend the samples that a line of a layer uses."""
     layer.spans[line, 0] = min(layer.spans[line, 0], start)
     layer.spans[line, 1] = max(layer.spans[line, 1], end)
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def add_layer(iq, layer):  # type: ignore[no-untyped-def]
     """Add a layer to a frame's (lines, samples) complex64 echoes, and empty it."""
     lines, samples = iq.shape
@@ -56,7 +56,7 @@ def add_layer(iq, layer):  # type: ignore[no-untyped-def]
         layer.spans[j, 1] = 0
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def cast_shadows(transmission, layer, margin):  # type: ignore[no-untyped-def]
     """Weaken a frame's (lines, samples) transmission, and its layer, behind surfaces.
 
@@ -82,7 +82,7 @@ def cast_shadows(transmission, layer, margin):  # type: ignore[no-untyped-def]
                 late += layer.loss[j, i - margin]
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def join_layer(iq, transmission, layer, weakened):  # type: ignore[no-untyped-def]
     """Weaken a frame's echoes on the lines that a layer uses, or on all, and add the layer."""
     for j in range(iq.shape[0]):

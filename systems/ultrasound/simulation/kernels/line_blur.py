@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from sonoservo.systems.sampling.kernels import OPTIONS
+from sonoservo.systems.sampling.kernels import INNER
 
 _NEGLIGIBLE = 1e-4
 
@@ -46,16 +46,15 @@ def line_kernel(line_sigma: NDArray[np.float64], lines: int) -> LineKernel:
     return LineKernel(np.repeat(kernel, 2, axis=1).astype(np.float32), ends)
 
 
-@njit(**OPTIONS)
-def blur_lines(iq, accumulator, kernel, taps):  # type: ignore[no-untyped-def]
-    """Write (lines, samples) deposits blurred across lines.
+@njit(**INNER)
+def blur_lines(iq, accumulator, kernel, taps, row):  # type: ignore[no-untyped-def]
+    """Write (lines, samples) deposits blurred across lines; row is memory for (2 samples,).
 
-    See `deposit_tissue` for the accumulator.
+    See `render_tissue` for the accumulator.
     """
     lines, samples = iq.shape
     pad = (accumulator.shape[0] - lines) // 2
     half = len(kernel.ends) // 2
-    row = np.empty(2 * samples, np.float32)
     for j in range(lines):
         row[:] = np.float32(0)
         for m in range(len(kernel.ends)):

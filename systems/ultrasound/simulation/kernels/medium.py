@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from sonoservo.systems.sampling.kernels import OPTIONS
+from sonoservo.systems.sampling.kernels import INNER, OPTIONS
 from sonoservo.systems.ultrasound.simulation.kernels.displacement import Displacements
 
 _STEPS = 3
@@ -71,13 +71,13 @@ class Sights(NamedTuple):
     """Apparent positions of points, or `NO_VIEW`."""
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def largest_aside(view, frame):  # type: ignore[no-untyped-def]
     """Return the entry of ``view.asides`` for a frame, and 0 if nothing is bent."""
     return view.asides[frame] if len(view.table) > 0 else 0.0
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def interpolated(table, line, node):  # type: ignore[no-untyped-def]
     """Interpolate a (lines, nodes) table, held constant beyond its edges."""
     line = min(max(line, 0.0), table.shape[0] - 1.0)
@@ -90,7 +90,7 @@ def interpolated(table, line, node):  # type: ignore[no-untyped-def]
     return (1 - a) * near + a * ((1 - b) * table[j + 1, k] + b * table[j + 1, k + 1])
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def true_position(x, y, z, medium, frame):  # type: ignore[no-untyped-def]
     """Return the true position in F, in m, of an object that appears at a point in F."""
     delays = medium.delays[frame]
@@ -127,7 +127,7 @@ def true_position(x, y, z, medium, frame):  # type: ignore[no-untyped-def]
     )
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def apparent_position(x, y, z, medium, frame):  # type: ignore[no-untyped-def]
     """Return the apparent position in F, in m, of a point in F: the inverse of `true_position`."""
     ax = x
@@ -141,12 +141,14 @@ def apparent_position(x, y, z, medium, frame):  # type: ignore[no-untyped-def]
     return ax, ay, az
 
 
-@njit(**OPTIONS)
-def linear_view(x, y, z, medium, frame, slope):  # type: ignore[no-untyped-def]
-    """Return a point's apparent position in F; write its derivative by the true one."""
+@njit(**INNER)
+def linear_view(x, y, z, medium, frame, slope, J):  # type: ignore[no-untyped-def]
+    """Return a point's apparent position in F; write its derivative by the true one.
+
+    J is (3, 3) memory.
+    """
     ax, ay, az = apparent_position(x, y, z, medium, frame)
     x0, y0, z0 = true_position(ax, ay, az, medium, frame)
-    J = np.empty((3, 3))
     for axis in range(3):
         dx = _PROBE if axis == 0 else 0.0
         dy = _PROBE if axis == 1 else 0.0
@@ -177,8 +179,13 @@ def linear_view(x, y, z, medium, frame, slope):  # type: ignore[no-untyped-def]
 @njit(**OPTIONS)
 def tabulate_views(table, medium, view):  # type: ignore[no-untyped-def]
     """Tabulate `linear_view` over the middle plane of every frame, as a `View` has it."""
+    _fill_views(table, medium, view, np.empty((3, 3)), np.empty((3, 3)))
+
+
+@njit(**INNER)
+def _fill_views(table, medium, view, slope, J):  # type: ignore[no-untyped-def]
+    """Fill the table; slope and J are (3, 3) memory."""
     for frame in range(len(table)):
-        slope = np.empty((3, 3))
         for j in range(table.shape[1]):
             phi = (j - view.middle) / view.angles_per_radian
             for k in range(table.shape[2]):
@@ -186,7 +193,7 @@ def tabulate_views(table, medium, view):  # type: ignore[no-untyped-def]
                 x = r * np.sin(phi)
                 y = r * np.cos(phi) - view.centre_offset
                 node = table[frame, j, k]
-                ax, ay, az = linear_view(x, y, 0.0, medium, frame, slope)
+                ax, ay, az = linear_view(x, y, 0.0, medium, frame, slope, J)
                 node[0] = ax - x
                 node[1] = ay - y
                 node[2] = az
@@ -204,7 +211,7 @@ def tabulate_views(table, medium, view):  # type: ignore[no-untyped-def]
                 node[14] = -z0 / length
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def look_up(x, y, z, view, frame, node):  # type: ignore[no-untyped-def]
     """Return a point's apparent position in F, in m; write the (15,) interpolated node."""
     table = view.table
@@ -276,16 +283,16 @@ def integrate_paths(  # type: ignore[no-untyped-def]
                 z = y * twist * from_middle
                 if bends:
                     x, y, z = true_position(x, y, z, medium, frame)
-                a = np.int64(np.floor(per_metre * (_row(X[0], x, y, z) - origin[0])))
-                b = np.int64(np.floor(per_metre * (_row(X[1], x, y, z) - origin[1])))
-                c = np.int64(np.floor(per_metre * (_row(X[2], x, y, z) - origin[2])))
+                a = per_metre * (_coordinate(X, 0, x, y, z) - origin[0])
+                b = per_metre * (_coordinate(X, 1, x, y, z) - origin[1])
+                c = per_metre * (_coordinate(X, 2, x, y, z) - origin[2])
                 if 0 <= a < nx and 0 <= b < ny and 0 <= c < nz:
-                    label = labels[a, b, c]
+                    label = labels[np.int64(a), np.int64(b), np.int64(c)]
                     loss += loss_rate[label] * step
                     late += delay_rate[label] * step
 
 
-@njit(**OPTIONS)
-def _row(row, x, y, z):  # type: ignore[no-untyped-def]
+@njit(**INNER)
+def _coordinate(X, axis, x, y, z):  # type: ignore[no-untyped-def]
     """Return one coordinate of a transformed point."""
-    return row[0] * x + row[1] * y + row[2] * z + row[3]
+    return X[axis, 0] * x + X[axis, 1] * y + X[axis, 2] * z + X[axis, 3]

@@ -3,10 +3,10 @@
 import numpy as np
 from numba import njit
 
-from sonoservo.systems.sampling.kernels import OPTIONS
+from sonoservo.systems.sampling.kernels import INNER
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def nearest_on_shaft(x, y, z, field):  # type: ignore[no-untyped-def]
     """Return the distance in m from a frame's needle, and its nearest segment."""
     shaft = field.shaft
@@ -31,7 +31,7 @@ def nearest_on_shaft(x, y, z, field):  # type: ignore[no-untyped-def]
     return np.sqrt(least), nearest
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def segment_of(field, k):  # type: ignore[no-untyped-def]
     """Return a segment's unit direction, its length, and how far it begins from entry and tip."""
     shaft = field.shaft
@@ -50,7 +50,7 @@ def segment_of(field, k):  # type: ignore[no-untyped-def]
     return dx, dy, dz, length, entry, tip
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def push(px, py, pz, dx, dy, dz, length, entry, tip, drag, reach, hole):  # type: ignore[no-untyped-def]
     """Return the displacement by a segment of a needle, and how the drag changes.
 
@@ -90,7 +90,7 @@ def push(px, py, pz, dx, dy, dz, length, entry, tip, drag, reach, hole):  # type
     return u * dx + w * px, u * dy + w * py, u * dz + w * pz, slope, px, py, pz
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def push_scatterers(moved, xs, ys, zs, x0, y0, z0, k, field):  # type: ignore[no-untyped-def]
     """Write (3, n) positions of a block's scatterers, displaced by segment k of the needle."""
     dx, dy, dz, length, entry, tip = segment_of(field, k)

@@ -6,12 +6,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from sonoservo.systems.sampling.kernels import OPTIONS
+from sonoservo.systems.sampling.kernels import INNER
 from sonoservo.systems.ultrasound.simulation.kernels.blocks import misses
 from sonoservo.systems.ultrasound.simulation.kernels.displacement import (
     displace,
     displacement_limit,
-    frame_field,
     limit_along,
 )
 from sonoservo.systems.ultrasound.simulation.kernels.medium import largest_aside, look_up
@@ -52,21 +51,22 @@ class Pieces(NamedTuple):
     """(n,) shares of the beam's reach in elevation beyond which pieces neither show nor shade."""
 
 
-@njit(**OPTIONS)
-def place_pieces(seen, places, sights, frame, rays, pieces, growth, reach):  # type: ignore[no-untyped-def]
+@njit(**INNER)
+def place_pieces(  # type: ignore[no-untyped-def]
+    seen, places, sights, frame, field, rays, pieces, growth, reach, furthest, node, F
+):
     """Find the pieces that a frame may see; return their number.
 
     Written are (n,) numbers of pieces, and (n, 4) apparent positions in F in m with the cosine of
     the sound's angle to the normal. ``growth`` and ``reach`` are the (surfaces,) distances by which
-    surfaces are displaced outwards, and the (samples,) half width of the beam in elevation, in m.
+    surfaces are displaced outwards, and the (samples,) half width of the beam in elevation, in m,
+    with its maximum; node (15,) and F (3, 3) are memory.
     """
-    view, fields, X_FT = sights.bent, sights.fields, sights.X_FT[frame]
+    view, X_FT = sights.bent, sights.X_FT[frame]
     twist_per_radian = rays.twist * rays.lines_per_radian
-    furthest = rays.array_radius + len(reach) / rays.samples_per_metre
-    slab = reach.max() + abs(rays.twist) * rays.middle_line * furthest
-    slab += _LEAST_SLACK + view.furthest + fields.deepest + fields.widest_push
-    field = frame_field(fields, frame)
-    node, F = np.empty(15), np.empty((3, 3))
+    depth = rays.array_radius + len(reach) / rays.samples_per_metre
+    slab = furthest + abs(rays.twist) * rays.middle_line * depth
+    slab += _LEAST_SLACK + view.furthest + sights.fields.deepest + sights.fields.widest_push
     bend = largest_aside(view, frame)
     count = 0
     for i in range(len(pieces.points)):
@@ -97,7 +97,7 @@ def place_pieces(seen, places, sights, frame, rays, pieces, growth, reach):  # t
     return count
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def _is_turned_away(i, X_FT, pieces, rays):  # type: ignore[no-untyped-def]
     """Return True if a piece that reflects on one side only certainly faces away from the probe."""
     if not pieces.one_sided[pieces.surfaces[i]]:
@@ -113,7 +113,7 @@ def _is_turned_away(i, X_FT, pieces, rays):  # type: ignore[no-untyped-def]
     return ahead > _AWAY
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def _in_frame(  # type: ignore[no-untyped-def]
     i, X_FT, pieces, growth, view, field, frame, node, F, rays
 ):
@@ -148,7 +148,7 @@ def _in_frame(  # type: ignore[no-untyped-def]
     return px, py, pz, fx * ux + fy * uy + fz * uz
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def _turned(nx, ny, nz, F):  # type: ignore[no-untyped-def]
     """Return a surface's unit normal after a deformation with the gradient F (Nanson's formula)."""
     x = (F[1, 1] * F[2, 2] - F[1, 2] * F[2, 1]) * nx

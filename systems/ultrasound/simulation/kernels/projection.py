@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from sonoservo.systems.sampling.kernels import OPTIONS
+from sonoservo.systems.sampling.kernels import INNER
 
 FRACTIONS = 64
 """Number of fractions of a sample for which pulses are tabulated."""
@@ -58,7 +58,7 @@ class Rays(NamedTuple):
     """(samples,) factor on bright points, since tissue is normalised to 0 dB at any depth."""
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def line_coordinates(x, y, z, rays):  # type: ignore[no-untyped-def]
     """Return the fractional line, elevation offset and distance from the array's centre.
 
@@ -77,7 +77,7 @@ def line_coordinates(x, y, z, rays):  # type: ignore[no-untyped-def]
     return line + rays.middle_line, z - y * turn, r + q * shift / r
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def phasor(turns):  # type: ignore[no-untyped-def]
     """Return the cosine and sine of an angle in turns (above -1024)."""
     h = turns - (np.float32(np.int32(turns + _HALF + _POSITIVE)) - _POSITIVE)
@@ -88,7 +88,7 @@ def phasor(turns):  # type: ignore[no-untyped-def]
     return _ONE - _TWO * s * s, _TWO * s * c
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def transformed(X, x, y, z):  # type: ignore[no-untyped-def]
     """Return the coordinates of a point after a (3, 4) transform."""
     return (
@@ -98,7 +98,7 @@ def transformed(X, x, y, z):  # type: ignore[no-untyped-def]
     )
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def gaussian(u):  # type: ignore[no-untyped-def]
     """Return exp(-u) for u from 0 to 4.8."""
     v = u * _EIGHTH

@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from sonoservo.systems.sampling.kernels import OPTIONS
+from sonoservo.systems.sampling.kernels import INNER
 
 _GOLDEN = 0.6180339887498949
 
@@ -66,7 +66,7 @@ NO_REGIONS = Regions(
 """Regions of plain tissue."""
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def weigh_scatterers(  # type: ignore[no-untyped-def]
     chosen, count, xs, ys, zs, x0, y0, z0, block_list, cosine, sine, regions, lumens
 ):
@@ -84,14 +84,14 @@ def weigh_scatterers(  # type: ignore[no-untyped-def]
         y = y0 + ys[i]
         z = z0 + zs[i]
         label = 0
-        a = np.int64(np.floor((x - regions.origin[0]) * regions.per_metre))
-        b = np.int64(np.floor((y - regions.origin[1]) * regions.per_metre))
-        c = np.int64(np.floor((z - regions.origin[2]) * regions.per_metre))
+        a = (x - regions.origin[0]) * regions.per_metre
+        b = (y - regions.origin[1]) * regions.per_metre
+        c = (z - regions.origin[2]) * regions.per_metre
         if 0 <= a < nx and 0 <= b < ny and 0 <= c < nz:
-            label = regions.labels[a, b, c]
+            label = regions.labels[np.int64(a), np.int64(b), np.int64(c)]
         # Positions are random, so any rule that ignores them thins the scatterers at random.
         mark = np.float64(i) * _GOLDEN
-        if mark - np.floor(mark) >= regions.shares[label]:
+        if mark - np.int64(mark) >= regions.shares[label]:
             continue
         factor = regions.amplitudes[label]
         if z > -regions.fat_thickness:
@@ -119,7 +119,7 @@ def weigh_scatterers(  # type: ignore[no-untyped-def]
     return left
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def _within(x, y, z, ends, radius):  # type: ignore[no-untyped-def]
     """Return True if a point lies within a radius of a straight segment, (2, 3)."""
     ax = ends[1, 0] - ends[0, 0]

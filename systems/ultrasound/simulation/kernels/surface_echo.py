@@ -3,7 +3,8 @@
 import numpy as np
 from numba import njit
 
-from sonoservo.systems.sampling.kernels import OPTIONS
+from sonoservo.systems.sampling.kernels import INNER, OPTIONS
+from sonoservo.systems.ultrasound.simulation.kernels.displacement import frame_field
 from sonoservo.systems.ultrasound.simulation.kernels.layers import (
     cast_shadows,
     empty_layer,
@@ -33,7 +34,7 @@ _NYQUIST_POWER = 8
 _OWN_SHADOW = 2.5e-3
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def _add_piece(layer, rays, pieces, i, place, times, level, kind):  # type: ignore[no-untyped-def]
     """Add piece i's echo, or its echo after ``times`` round trips between face and surface.
 
@@ -112,22 +113,25 @@ def render_surfaces(iq, transmission, sights, rays, pieces, growth, weakened):  
     reach = np.sqrt(FURTHEST / rays.elevation_precision)
     seen = np.empty(len(pieces.points), np.int64)
     places = np.empty((len(pieces.points), 4))
+    node, F = np.empty(15), np.empty((3, 3))
+    layer = empty_layer(iq.shape[1], iq.shape[2], pieces.table.shape[1] // 2)
     for frame in range(len(iq)):
-        count = place_pieces(seen, places, sights, frame, rays, pieces, growth[frame], reach)
+        field = frame_field(sights.fields, frame)
+        count = place_pieces(
+            seen, places, sights, frame, field, rays, pieces, growth[frame], reach, reach.max(),
+            node, F,
+        )  # fmt: skip
         if count > 0:
             _render_frame(
-                iq[frame], transmission[frame], rays, pieces, seen[:count], places, weakened
+                iq[frame], transmission[frame], layer, rays, pieces, seen[:count], places, weakened
             )
         elif weakened:
             iq[frame] *= transmission[frame]
 
 
-@njit(**OPTIONS)
-def _render_frame(iq, transmission, rays, pieces, seen, places, weakened):  # type: ignore[no-untyped-def]
-    """Add the surfaces' pieces that one frame sees."""
-    lines, samples = iq.shape
-    pad = pieces.table.shape[1] // 2
-    layer = empty_layer(lines, samples, pad)
+@njit(**INNER)
+def _render_frame(iq, transmission, layer, rays, pieces, seen, places, weakened):  # type: ignore[no-untyped-def]
+    """Add the surfaces' pieces that one frame sees; the layer is empty before and after."""
     for number in range(len(seen)):
         _add_piece(layer, rays, pieces, seen[number], places[number], 1, 1.0, 0)
     margin = np.int64(_OWN_SHADOW * rays.samples_per_metre)

@@ -8,7 +8,7 @@ from numba import njit
 from numba.core import cgutils, types
 from numba.extending import intrinsic
 
-from sonoservo.systems.sampling.kernels import OPTIONS
+from sonoservo.systems.sampling.kernels import INNER
 from sonoservo.systems.ultrasound.simulation.kernels.projection import FRACTIONS
 
 LANES = 8
@@ -104,7 +104,7 @@ def _add_to_row(typing_context, rows, at, table, start, real, imaginary):  # typ
     return signature, generate
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def add_pulse(layer, line, sample, pulse, row, width, real, imaginary):  # type: ignore[no-untyped-def]
     """Add a row of a table of pulses times a complex amplitude to a line, from a sample on.
 
@@ -119,7 +119,7 @@ def add_pulse(layer, line, sample, pulse, row, width, real, imaginary):  # type:
         start += LANES
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def deposit(accumulator, chosen, count, line, sample, cosine, sine, pulse):  # type: ignore[no-untyped-def]
     """Add the chosen scatterers to three lines each, eight numbers (four complex taps) at a time.
 

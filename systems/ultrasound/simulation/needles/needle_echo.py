@@ -217,11 +217,12 @@ def needle_view(
             axes_T[frame] = tip_axes(needle.shaft[-1] - needle.shaft[-2], roll)
             # The part outside continues the shaft straight on.
             first = needle.shaft[:1] - needle.shaft[1:2]
+            length = needle.length
             places[frame] = needle.shaft[0]
-            places[frame] += (ends - needle.length) * (first / np.sqrt((first**2).sum()))
+            places[frame] += (ends - length) * (first / np.sqrt((first**2).sum()))
             if len(needle.shaft) > 2:
-                inside = ends[:, 0] < needle.length
-                places[frame, inside] = needle.position(needle.length - ends[inside, 0])
+                inside = ends[:, 0] < length
+                places[frame, inside] = needle.position(length - ends[inside, 0])
             if parameters.fading_db > 0:
                 fade[frame] = 10 ** (fading.level_db(from_tip, float(time)) / 20)
     R = np.swapaxes(X_FT[:, :, :3], 1, 2)

@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from sonoservo.systems.sampling.kernels import OPTIONS
+from sonoservo.systems.sampling.kernels import INNER, OPTIONS
 from sonoservo.systems.ultrasound.simulation.kernels.bright_echo import add_point, seen_within
 from sonoservo.systems.ultrasound.simulation.kernels.layers import add_layer, empty_layer
 from sonoservo.systems.ultrasound.simulation.kernels.projection import transformed
@@ -83,7 +83,7 @@ def render_needles(iq, X_FT, rays, shafts, starts, echo, view, transmission):  #
                 add_layer(iq[frame], layer)
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def _add_needle(layer, X_FT, rays, shaft, echo, view, frame):  # type: ignore[no-untyped-def]
     """Add a needle's echo, point by point from the tip; return True if the frame sees any.
 
@@ -131,7 +131,7 @@ def _add_needle(layer, X_FT, rays, shaft, echo, view, frame):  # type: ignore[no
     return seen
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def _add_tip(layer, X_FT, rays, p_TTip, echo, view, frame):  # type: ignore[no-untyped-def]
     """Add the echo of a tip's surface at (3,) p_TTip; return True if the frame sees any piece."""
     tip = echo.surface
@@ -160,7 +160,7 @@ def _add_tip(layer, X_FT, rays, p_TTip, echo, view, frame):  # type: ignore[no-u
     return seen
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def _cast_shadow(iq, layer):  # type: ignore[no-untyped-def]
     """Weaken the (lines, samples) echoes that lie in a layer's shadow."""
     lines, samples = iq.shape
@@ -172,7 +172,7 @@ def _cast_shadow(iq, layer):  # type: ignore[no-untyped-def]
             loss = max(loss, layer.loss[j, i])
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def _weaken_layer(layer, transmission):  # type: ignore[no-untyped-def]
     """Weaken a layer by a frame's (lines, samples) transmission."""
     lines, samples = transmission.shape

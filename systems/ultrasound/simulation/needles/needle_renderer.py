@@ -114,8 +114,8 @@ def _apparent(
     """Return the (m, 3) apparent positions in T, in m, of points along a needle in a frame."""
     if not needle:
         return needle.shaft
-    count = max(int(np.ceil(needle.length / _BENT_STEP)), 1) + 1
-    points = needle.position(np.linspace(0, needle.length, count))
+    length = needle.length
+    points = needle.position(np.linspace(0, length, max(int(np.ceil(length / _BENT_STEP)), 1) + 1))
     R, p = X_FT[:, :3], X_FT[:, 3]
     seen = apparent_points(points @ R.T + p, view, frame)
     return (seen - p) @ R

@@ -121,8 +121,9 @@ def moved_needle(
     needle: Needle, field: Displacements, frame: int, *, pushed: bool = True
 ) -> Needle:
     """Return a needle in T displaced by the field of a frame, by its needle only if ``pushed``."""
-    count = max(int(np.ceil(needle.length / _SPACING)) + 1, len(needle.shaft), 2)
-    points = needle.position(np.linspace(0, needle.length, count))
+    length = needle.length
+    count = max(int(np.ceil(length / _SPACING)) + 1, len(needle.shaft), 2)
+    points = needle.position(np.linspace(0, length, count))
     shaft = displace_points(points, field, frame, pushed)
     return Needle(shaft, needle.radius, roll=needle.roll, track=needle.track)
 

@@ -1,17 +1,17 @@
 """Tissue dragged along by a needle: stick-slip and relaxation."""
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from sonoservo.systems.signals.requirements import Positive, check_bounds, require
+from sonoservo.systems.signals.requirements import Bounded, Positive, within
 
 _REST = 1e-9
 
 
 @dataclass(kw_only=True)
-class NeedleDragParameters:
+class NeedleDragParameters(Bounded):
     """Parameters of the friction between needle and tissue.
 
     Parameters
@@ -28,22 +28,11 @@ class NeedleDragParameters:
         Time constant in s with which dragged tissue returns, also while it sticks to the needle.
     """
 
-    distance: float = 0.0
-    reach: float = 8e-3
-    kept: float = 0.6
-    slip_time: float = 0.1
+    distance: Annotated[float, within(0, 0.02, " m")] = 0.0
+    reach: Annotated[float, within(2e-3, 0.1, " m")] = 8e-3
+    kept: Annotated[float, within(0, 0.95)] = 0.6
+    slip_time: Annotated[float, within(0.01, 10, " s")] = 0.1
     relaxation_time: Positive = 2.0
-
-    def __post_init__(self) -> None:
-        for name, low, high, unit in (
-            ("distance", 0.0, 0.02, " m"),
-            ("reach", 2e-3, 0.1, " m"),
-            ("kept", 0.0, 0.95, ""),
-            ("slip_time", 0.01, 10.0, " s"),
-        ):
-            value = getattr(self, name)
-            require(low <= value <= high, name, value, f"from {low:g} to {high:g}{unit}")
-        check_bounds(self)
 
 
 class Drag(NamedTuple):

@@ -8,7 +8,7 @@ from pydrake.systems.framework import Context, DiscreteValues, LeafSystem
 
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.ports import declare_inputs, declare_output, evaluate
-from sonoservo.systems.signals.requirements import require, require_positive
+from sonoservo.systems.signals.requirements import Bounded, Fraction, require_positive
 from sonoservo.systems.ultrasound.simulation.reaction.deformation import (
     Deformation,
     Indentation,
@@ -22,7 +22,7 @@ from sonoservo.systems.ultrasound.simulation.reaction.needle_drag import (
 
 
 @dataclass(kw_only=True)
-class TissueReactionParameters:
+class TissueReactionParameters(Bounded):
     """Parameters of the tissue's reaction to probe and needle.
 
     Parameters
@@ -37,12 +37,8 @@ class TissueReactionParameters:
     """
 
     drag: NeedleDragParameters = field(default_factory=NeedleDragParameters)
-    pushed_aside: float = 0.0
+    pushed_aside: Fraction = 0.0
     indentation: bool = False
-
-    def __post_init__(self) -> None:
-        share = self.pushed_aside
-        require(0 <= share <= 1, "pushed_aside", share, "a share from 0 to 1")
 
     @property
     def acts(self) -> bool:

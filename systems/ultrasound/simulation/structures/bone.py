@@ -6,18 +6,16 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.systems.signals.requirements import Positive, require
+from sonoservo.systems.signals.requirements import Fraction, Positive, require
 from sonoservo.systems.ultrasound.simulation.axes import frame_along
 from sonoservo.systems.ultrasound.simulation.structures.structure import (
+    Diffuse,
+    Level,
+    Repeated,
     Structure,
-    require_level,
-    require_levels,
+    Surfaces,
 )
-from sonoservo.systems.ultrasound.simulation.structures.surface import (
-    Surface,
-    SurfaceEcho,
-    parametric,
-)
+from sonoservo.systems.ultrasound.simulation.structures.surface import Surface, parametric
 
 
 @dataclass(kw_only=True)
@@ -42,28 +40,21 @@ class Bone(Structure):
     end: list[float] = field(default_factory=lambda: [0.0, 0.03, -0.05])
     width: Positive = 0.012
     thickness: Positive = 0.008
-    level_db: float = 45.0
-    diffuse_db: float = -20.0
-    shadow: float = 1.0
-    reverberation_db: float = -14.0
+    level_db: Level = 45.0
+    diffuse_db: Diffuse = -20.0
+    shadow: Fraction = 1.0
+    reverberation_db: Repeated = -14.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_level(level_db=self.level_db)
-        require_levels(self.diffuse_db, self.shadow)
         require(self.start != self.end, "end", self.end, "another point than start")
-        require(
-            self.reverberation_db <= -3, "reverberation_db", self.reverberation_db, "at most -3 dB"
-        )
 
     @property
     def reach(self) -> float:
         """Half of the shorter axis, in m."""
         return min(self.width, self.thickness) / 2
 
-    def surfaces(
-        self, spacing: float, rng: np.random.Generator
-    ) -> list[tuple[Surface, SurfaceEcho]]:
+    def surfaces(self, spacing: float, rng: np.random.Generator) -> Surfaces:
         """Return the bone's hull without its ends."""
         start, axis = np.array(self.start), np.subtract(self.end, self.start)
         _, across, up = frame_along(axis)
@@ -75,14 +66,7 @@ class Bone(Structure):
 
         perimeter = np.pi * max(self.width, self.thickness)
         hull = parametric(position, (float(np.linalg.norm(axis)), perimeter), spacing)
-        echo = SurfaceEcho(
-            level_db=self.level_db,
-            diffuse_db=self.diffuse_db,
-            shadow=self.shadow,
-            one_sided=True,
-            reverberation_db=self.reverberation_db,
-        )
-        return [(_outward(hull, start, axis), echo)]
+        return [(_outward(hull, start, axis), self.surface_echo(one_sided=True))]
 
 
 def _outward(hull: Surface, start: NDArray[np.float64], axis: NDArray[np.float64]) -> Surface:

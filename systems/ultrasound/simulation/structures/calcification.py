@@ -1,19 +1,18 @@
 """Calcifications: small and bright, with a shadow."""
 
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 
-from sonoservo.systems.signals.requirements import Positive, require
+from sonoservo.systems.signals.requirements import Fraction
 from sonoservo.systems.ultrasound.simulation.structures.structure import (
+    Level,
     Structure,
-    require_level,
-    require_levels,
+    Surfaces,
+    up_to,
 )
-from sonoservo.systems.ultrasound.simulation.structures.surface import (
-    Surface,
-    SurfaceEcho,
-)
+from sonoservo.systems.ultrasound.simulation.structures.surface import Surface
 
 
 @dataclass(kw_only=True)
@@ -35,24 +34,16 @@ class Calcification(Structure):
 
     kind: str = "calcification"
     centre: list[float] = field(default_factory=lambda: [0.0, 0.0, -0.04])
-    radius: Positive = 1.5e-3
-    level_db: float = 34.0
-    shadow: float = 0.9
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require(self.radius <= 0.02, "radius", self.radius, "at most 0.02 m")
-        require_level(level_db=self.level_db)
-        require_levels(0.0, self.shadow)
+    radius: Annotated[float, up_to(0.02)] = 1.5e-3
+    level_db: Level = 34.0
+    shadow: Fraction = 0.9
 
     @property
     def reach(self) -> float:
         """Radius of the grain, in m."""
         return self.radius
 
-    def surfaces(
-        self, spacing: float, rng: np.random.Generator
-    ) -> list[tuple[Surface, SurfaceEcho]]:
+    def surfaces(self, spacing: float, rng: np.random.Generator) -> Surfaces:
         """Return a sphere that scatters in all directions."""
         step = min(spacing / 1.5, self.radius / 3)
         count = int(np.ceil(4 * np.pi * (self.radius / step) ** 2))
@@ -63,11 +54,4 @@ class Calcification(Structure):
         normals = np.stack([ring * np.cos(angle), ring * np.sin(angle), height], axis=-1)
         area = 4 * np.pi * self.radius**2 / count
         sphere = Surface(self.centre + self.radius * normals, normals, np.full(count, area))
-        echo = SurfaceEcho(
-            level_db=self.level_db,
-            diffuse_db=0.0,
-            shadow=self.shadow,
-            one_sided=True,
-            specular=False,
-        )
-        return [(sphere, echo)]
+        return [(sphere, self.surface_echo(diffuse_db=0.0, one_sided=True, specular=False))]

@@ -1,25 +1,20 @@
 """Sheets of fascia: thin, bright, specular layers."""
 
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.systems.signals.requirements import (
-    NotNegative,
-    Positive,
-    require,
-)
+from sonoservo.systems.signals.requirements import Fraction, NotNegative, Positive, within
 from sonoservo.systems.ultrasound.simulation.structures.structure import (
+    Diffuse,
+    Extents,
+    Level,
     Structure,
-    require_level,
-    require_levels,
+    Surfaces,
 )
-from sonoservo.systems.ultrasound.simulation.structures.surface import (
-    Surface,
-    SurfaceEcho,
-    parametric,
-)
+from sonoservo.systems.ultrasound.simulation.structures.surface import parametric
 
 
 @dataclass(kw_only=True)
@@ -42,25 +37,16 @@ class Fascia(Structure):
 
     kind: str = "fascia"
     centre: list[float] = field(default_factory=lambda: [0.0, 0.0, -0.03])
-    size: list[float] = field(default_factory=lambda: [0.06, 0.04])
+    size: Extents = field(default_factory=lambda: [0.06, 0.04])
     azimuth_deg: float = 0.0
-    dip_deg: float = 0.0
+    dip_deg: Annotated[float, within(-90, 90, " deg")] = 0.0
     wave_height: NotNegative = 0.2e-3
     wave_length: Positive = 0.02
-    level_db: float = 28.0
-    diffuse_db: float = -12.0
-    shadow: float = 0.05
+    level_db: Level = 28.0
+    diffuse_db: Diffuse = -12.0
+    shadow: Fraction = 0.05
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require(len(self.size) == 2 and min(self.size) > 0, "size", self.size, "two lengths in m")
-        require(abs(self.dip_deg) <= 90, "dip_deg", self.dip_deg, "from -90 to 90 deg")
-        require_level(level_db=self.level_db)
-        require_levels(self.diffuse_db, self.shadow)
-
-    def surfaces(
-        self, spacing: float, rng: np.random.Generator
-    ) -> list[tuple[Surface, SurfaceEcho]]:
+    def surfaces(self, spacing: float, rng: np.random.Generator) -> Surfaces:
         """Return the sheet, whose waves have random phases."""
         phase = rng.uniform(0, 2 * np.pi, 2)
         R = turned(self.azimuth_deg, self.dip_deg)
@@ -73,8 +59,7 @@ class Fascia(Structure):
             return self.centre + flat @ R.T
 
         sheet = parametric(position, (self.size[0], self.size[1]), spacing)
-        echo = SurfaceEcho(level_db=self.level_db, diffuse_db=self.diffuse_db, shadow=self.shadow)
-        return [(sheet, echo)]
+        return [(sheet, self.surface_echo())]
 
 
 def turned(azimuth_deg: float, dip_deg: float) -> NDArray[np.float64]:

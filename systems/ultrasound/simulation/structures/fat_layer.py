@@ -3,17 +3,11 @@
 from dataclasses import dataclass
 from typing import Annotated
 
-from sonoservo.systems.signals.requirements import (
-    NotNegative,
-    check_bounds,
-    require,
-    require_not_negative,
-    within,
-)
+from sonoservo.systems.signals.requirements import Bounded, within
 
 
 @dataclass(kw_only=True)
-class FatLayer:
+class FatLayer(Bounded):
     """Fat from the top of the tissue down to a level face. The probe lies directly on it.
 
     Parameters
@@ -28,16 +22,7 @@ class FatLayer:
         One-way attenuation, in dB/(cm MHz); None for the tissue's.
     """
 
-    thickness: NotNegative = 0.0
-    sound_speed: float = 1450.0
+    thickness: Annotated[float, within(0, 0.2, " m")] = 0.0
+    sound_speed: Annotated[float, within(1300, 1700, " m/s")] = 1450.0
     level_db: Annotated[float, within(-100, 40, " dB")] = -4.0
-    attenuation: float | None = None
-
-    def __post_init__(self) -> None:
-        check_bounds(self)
-        require(self.thickness <= 0.2, "thickness", self.thickness, "at most 0.2 m")
-        allowed = 1300 <= self.sound_speed <= 1700
-        require(allowed, "sound_speed", self.sound_speed, "from 1300 to 1700 m/s")
-        if self.attenuation is not None:
-            require_not_negative(attenuation=self.attenuation)
-            require(self.attenuation <= 30, "attenuation", self.attenuation, "at most 30 dB/cm/MHz")
+    attenuation: Annotated[float | None, within(0, 30, " dB/cm/MHz")] = None

@@ -1,26 +1,21 @@
 """Gas: a bright, irregular surface with a dirty shadow."""
 
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
 
-from sonoservo.systems.signals.requirements import (
-    NotNegative,
-    Positive,
-    require,
-)
+from sonoservo.systems.signals.requirements import Bound, Fraction, Positive, within
 from sonoservo.systems.ultrasound.simulation.structures.structure import (
+    Diffuse,
+    Extents,
+    Level,
     Structure,
-    require_level,
-    require_levels,
+    Surfaces,
 )
-from sonoservo.systems.ultrasound.simulation.structures.surface import (
-    Surface,
-    SurfaceEcho,
-    parametric,
-)
+from sonoservo.systems.ultrasound.simulation.structures.surface import Surface, parametric
 
 
 @dataclass(kw_only=True)
@@ -41,26 +36,16 @@ class Gas(Structure):
 
     kind: str = "gas"
     centre: list[float] = field(default_factory=lambda: [0.0, 0.0, -0.05])
-    size: list[float] = field(default_factory=lambda: [0.02, 0.02])
-    roughness: NotNegative = 0.4e-3
+    size: Extents = field(default_factory=lambda: [0.02, 0.02])
+    roughness: Annotated[float, within(0, 5e-3, " m")] = 0.4e-3
     bump_length: Positive = 4e-3
-    level_db: float = 44.0
-    diffuse_db: float = -10.0
-    shadow: float = 0.97
-    ring_down_db: float = -34.0
+    level_db: Level = 44.0
+    diffuse_db: Diffuse = -10.0
+    shadow: Fraction = 0.97
+    ring_down_db: Annotated[float, Bound("at most 0 dB", lambda level: level <= 0)] = -34.0
     ring_down_length: Positive = 0.04
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require(len(self.size) == 2 and min(self.size) > 0, "size", self.size, "two lengths in m")
-        require(self.roughness <= 5e-3, "roughness", self.roughness, "at most 5e-3 m")
-        require(self.ring_down_db <= 0, "ring_down_db", self.ring_down_db, "at most 0 dB")
-        require_level(level_db=self.level_db)
-        require_levels(self.diffuse_db, self.shadow)
-
-    def surfaces(
-        self, spacing: float, rng: np.random.Generator
-    ) -> list[tuple[Surface, SurfaceEcho]]:
+    def surfaces(self, spacing: float, rng: np.random.Generator) -> Surfaces:
         """Return the upper face."""
         counts = [min(int(np.ceil(size / self.bump_length)) + 4, 200) for size in self.size]
         heights = self.roughness * rng.normal(size=counts)
@@ -74,12 +59,5 @@ class Gas(Structure):
         # The patch is oval, so that no straight edge is visible.
         offsets = (face.points - self.centre)[:, :2] / np.array(self.size)
         oval = (offsets**2).sum(axis=1) <= 0.25
-        echo = SurfaceEcho(
-            level_db=self.level_db,
-            diffuse_db=self.diffuse_db,
-            shadow=self.shadow,
-            one_sided=True,
-            ring_down_db=self.ring_down_db,
-            ring_down_length=self.ring_down_length,
-        )
-        return [(Surface(face.points[oval], face.normals[oval], face.areas[oval]), echo)]
+        shown = Surface(face.points[oval], face.normals[oval], face.areas[oval])
+        return [(shown, self.surface_echo(one_sided=True))]

@@ -7,10 +7,10 @@ from numpy.typing import NDArray
 
 from sonoservo.systems.signals.requirements import Positive
 from sonoservo.systems.ultrasound.simulation.structures.structure import (
+    Diffuse,
+    Level,
     Rod,
     Structure,
-    require_level,
-    require_levels,
 )
 
 
@@ -38,13 +38,8 @@ class NWires(Structure):
     length: Positive = 0.04
     width: Positive = 0.02
     azimuth_deg: float = 90.0
-    level_db: float = 34.0
-    diffuse_db: float = -20.0
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require_level(level_db=self.level_db)
-        require_levels(self.diffuse_db, 0.0)
+    level_db: Level = 34.0
+    diffuse_db: Diffuse = -20.0
 
     def ends(self) -> NDArray[np.float64]:
         """Return the (3, 2, 3) ends of the wires in T, in m; the diagonal wire is the second."""

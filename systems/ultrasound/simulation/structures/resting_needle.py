@@ -1,14 +1,14 @@
 """A second needle, or a guide wire, at rest in the tissue."""
 
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.requirements import require
 from sonoservo.systems.ultrasound.simulation.needles.needle_echo import NeedleEchoParameters
-from sonoservo.systems.ultrasound.simulation.structures.structure import Structure
+from sonoservo.systems.ultrasound.simulation.structures.structure import Structure, up_to
 
 
 @dataclass(kw_only=True)
@@ -30,12 +30,11 @@ class RestingNeedle(Structure):
     kind: str = "needle"
     start: list[float] = field(default_factory=lambda: [-0.04, 0.0, -0.03])
     end: list[float] = field(default_factory=lambda: [0.02, 0.0, -0.05])
-    diameter: float = 1.27e-3
+    diameter: Annotated[float, up_to(5e-3)] = 1.27e-3
     echo: NeedleEchoParameters = field(default_factory=NeedleEchoParameters)
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require(0 < self.diameter <= 5e-3, "diameter", self.diameter, "above 0, at most 5e-3 m")
         require(self.start != self.end, "end", self.end, "another point than start")
 
     @property

@@ -1,22 +1,45 @@
 """Base class of the structures in the tissue, and their placement beside a needle."""
 
-from dataclasses import dataclass, replace
-from typing import Any, ClassVar, NamedTuple, Self
+from dataclasses import dataclass, fields, replace
+from typing import Annotated, Any, ClassVar, NamedTuple, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sonoservo.systems.signals.random_streams import HELD_OUT
 from sonoservo.systems.signals.requirements import (
-    NotNegative,
+    Bound,
+    Bounded,
     check_bounds,
     require,
+    within,
 )
 from sonoservo.systems.ultrasound.simulation.axes import frame_along
 from sonoservo.systems.ultrasound.simulation.structures.surface import (
     Surface,
     SurfaceEcho,
 )
+
+Level: TypeAlias = Annotated[float, within(-100, 80, " dB")]
+"""Level relative to the tissue, in dB."""
+
+Diffuse: TypeAlias = Annotated[float, within(-100, 20, " dB")]
+"""Level of what a surface scatters in all directions, relative to its echo, in dB."""
+
+Repeated: TypeAlias = Annotated[float, Bound("at most -3 dB", lambda level: level <= -3)]
+"""Level of an echo relative to the one that it repeats, in dB."""
+
+Extents: TypeAlias = Annotated[
+    list[float], Bound("two lengths in m", lambda size: len(size) == 2 and min(size) > 0)
+]
+"""Two extents above 0, in m."""
+
+Surfaces: TypeAlias = list[tuple[Surface, SurfaceEcho]]
+
+
+def up_to(high: float) -> Bound:
+    """Return the bound of a length above 0 that has a greatest value, in m."""
+    return Bound(f"above 0 and at most {high:g} m", lambda value: 0 < value <= high)
 
 
 class Rod(NamedTuple):
@@ -54,7 +77,7 @@ of structures that do not lie beside it, in m along X and Y, and along Z, of T."
 
 
 @dataclass(kw_only=True)
-class BesideNeedle:
+class BesideNeedle(Bounded):
     """A position beside the path of the needle.
 
     Parameters
@@ -68,14 +91,9 @@ class BesideNeedle:
         is above it.
     """
 
-    distance: NotNegative = 3e-3
-    along: NotNegative = 0.04
+    distance: Annotated[float, within(0, 0.2, " m")] = 3e-3
+    along: Annotated[float, within(0, 0.5, " m")] = 0.04
     angle_deg: float = -90.0
-
-    def __post_init__(self) -> None:
-        check_bounds(self)
-        require(self.distance <= 0.2, "distance", self.distance, "at most 0.2 m")
-        require(self.along <= 0.5, "along", self.along, "at most 0.5 m")
 
     def drawn(self, seed: int, rng: np.random.Generator) -> "BesideNeedle":
         """Return the position in the layout of a seed; the distance stays."""
@@ -156,11 +174,14 @@ class Structure:
         place = self.beside_needle.resolve(entry, direction, self.reach)
         return self.moved(place - self.middle)
 
-    def surfaces(
-        self, spacing: float, rng: np.random.Generator
-    ) -> list[tuple[Surface, SurfaceEcho]]:
+    def surfaces(self, spacing: float, rng: np.random.Generator) -> Surfaces:
         """Return the surfaces in pieces of at most ``spacing`` m; ``rng`` draws irregularities."""
         return []
+
+    def surface_echo(self, **others: Any) -> SurfaceEcho:
+        """Return the echo of the surface, of the fields that have the same names, and others."""
+        names = {each.name for each in fields(SurfaceEcho)} & vars(self).keys()
+        return SurfaceEcho(**{name: getattr(self, name) for name in names} | others)
 
     def rods(self) -> list[Rod]:
         """Return the thin reflectors."""
@@ -169,15 +190,3 @@ class Structure:
     def tubes(self) -> list[Tube]:
         """Return the lumens."""
         return []
-
-
-def require_levels(diffuse_db: float, shadow: float) -> None:
-    """Raise ValueError unless the levels of a surface are in range."""
-    require(-100 <= diffuse_db <= 20, "diffuse_db", diffuse_db, "from -100 to 20 dB")
-    require(0 <= shadow <= 1, "shadow", shadow, "from 0 to 1")
-
-
-def require_level(**levels: float) -> None:
-    """Raise ValueError unless levels relative to the tissue are in range."""
-    for name, value in levels.items():
-        require(-100 <= value <= 80, name, value, "from -100 to 80 dB")

@@ -2,28 +2,22 @@
 
 import itertools
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.systems.signals.requirements import (
-    NotNegative,
-    Positive,
-    require,
-)
+from sonoservo.systems.signals.requirements import Fraction, NotNegative, Positive, require, within
 from sonoservo.systems.ultrasound.simulation.axes import frame_along
 from sonoservo.systems.ultrasound.simulation.structures.structure import (
+    Diffuse,
+    Level,
     Structure,
+    Surfaces,
     Tube,
-    require_level,
-    require_levels,
+    up_to,
 )
-from sonoservo.systems.ultrasound.simulation.structures.surface import (
-    Surface,
-    SurfaceEcho,
-    parametric,
-)
+from sonoservo.systems.ultrasound.simulation.structures.surface import Surface, parametric
 
 
 @dataclass(kw_only=True)
@@ -56,38 +50,29 @@ class Vessel(Structure):
     path: list[list[float]] = field(
         default_factory=lambda: [[-0.03, 0.0, -0.045], [0.03, 0.0, -0.045]]
     )
-    radius: Positive = 3e-3
-    lumen_db: float = -35.0
-    level_db: float = 36.0
-    diffuse_db: float = -16.0
-    shadow: float = 0.0
-    pulsation: NotNegative = 0.05
+    radius: Annotated[float, up_to(0.05)] = 3e-3
+    lumen_db: Level = -35.0
+    level_db: Level = 36.0
+    diffuse_db: Diffuse = -16.0
+    shadow: Fraction = 0.0
+    pulsation: Annotated[float, within(0, 0.5)] = 0.05
     heart_rate: Positive = 1.2
     attenuation: NotNegative = 0.18
-    flow_speed: float = 0.0
+    flow_speed: Annotated[float, within(0, 2, " m/s")] = 0.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
         require(len(self.path) >= 2, "path", self.path, "at least two points")
         steps = np.linalg.norm(np.diff(self.path, axis=0), axis=1)
         require(bool((steps > 1e-6).all()), "path", self.path, "points apart from each other")
-        require(self.radius <= 0.05, "radius", self.radius, "at most 0.05 m")
-        require(self.pulsation <= 0.5, "pulsation", self.pulsation, "at most 0.5")
-        flows = 0 <= self.flow_speed <= 2
-        require(flows, "flow_speed", self.flow_speed, "from 0 to 2 m/s")
-        require_level(level_db=self.level_db, lumen_db=self.lumen_db)
-        require_levels(self.diffuse_db, self.shadow)
 
     @property
     def reach(self) -> float:
         """Mean inner radius of the vessel, in m."""
         return self.radius
 
-    def surfaces(
-        self, spacing: float, rng: np.random.Generator
-    ) -> list[tuple[Surface, SurfaceEcho]]:
+    def surfaces(self, spacing: float, rng: np.random.Generator) -> Surfaces:
         """Return the wall of each straight piece."""
-        echo = SurfaceEcho(level_db=self.level_db, diffuse_db=self.diffuse_db, shadow=self.shadow)
         walls = []
         ends = np.array(self.path)
         for start, end in itertools.pairwise(ends):
@@ -99,7 +84,7 @@ class Vessel(Structure):
                     distance = distance_to_segment(wall.points, other, stop)
                     outside &= distance > 0.98 * self.radius
             walls.append(Surface(wall.points[outside], wall.normals[outside], wall.areas[outside]))
-        return [(wall, echo) for wall in walls]
+        return [(wall, self.surface_echo()) for wall in walls]
 
     def tubes(self) -> list[Tube]:
         """Return the lumen."""

@@ -7,8 +7,7 @@ import pytest
 from synthetic_logs import build_insertion_log
 
 from sonoservo.diagrams.papers.zhao2012.speed_report import CLOSED_LOOP, NO_VELOCIMETER, loop_rows
-from sonoservo.diagrams.studies.following.analysis import describe_run, load_case
-from sonoservo.diagrams.studies.following.cases import AS_PUBLISHED
+from sonoservo.diagrams.studies.following.analysis import AS_PUBLISHED, describe_run, load_case
 from sonoservo.diagrams.studies.study import Case, Outcome
 from sonoservo.systems.evaluation.metrics import summarize
 from sonoservo.systems.files.writing import to_plain

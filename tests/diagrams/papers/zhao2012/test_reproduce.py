@@ -17,8 +17,7 @@ from sonoservo.diagrams.papers.zhao2012.runs import (
     run_case,
 )
 from sonoservo.diagrams.papers.zhao2012.speed_report import INTERACTING, NO_VELOCIMETER
-from sonoservo.diagrams.studies.following.analysis import load_case
-from sonoservo.diagrams.studies.following.cases import AS_PUBLISHED
+from sonoservo.diagrams.studies.following.analysis import AS_PUBLISHED, load_case
 from sonoservo.diagrams.studies.study import Case, Outcome, StudyOptions
 from sonoservo.diagrams.studies.study_report import Study, write_study
 from sonoservo.systems.signals.needle_curve import NeedleCurve

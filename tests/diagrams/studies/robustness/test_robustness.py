@@ -12,7 +12,7 @@ from synthetic_logs import build_insertion_log
 
 from sonoservo.diagrams import load_scenario
 from sonoservo.diagrams.dials import load_dials
-from sonoservo.diagrams.experiments.following_insertion import make_insertion
+from sonoservo.diagrams.experiments.following_scene import make_insertion
 from sonoservo.diagrams.papers import results
 from sonoservo.diagrams.papers.registry import STUDIES, require_paper
 from sonoservo.diagrams.published import PAPERS

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from sonoservo.systems.evaluation.shape.shape_bound import TrueBend, deflection_bound
+from sonoservo.systems.evaluation.shape.shape_metrics import TrueBend, deflection_bound
 
 DEPTHS = np.array([0.07, 0.14])
 

@@ -66,7 +66,7 @@ def test_a_needle_not_seen_coasts_and_is_given_up_without_a_search():
     assert step(track, 9.0).mode == TrackingMode.SEARCHING
 
 
-def test_the_track_ends_below_the_length_of_its_start():
+def test_the_track_ends_below_half_the_length_of_its_start():
     track = tracked()
     for time in np.arange(0.6, 3.0, 0.3):
         track = step(track, time, measurement=measurement(0.002, time))
