@@ -163,11 +163,7 @@ class Executor(Protocol):
         """Number of cases that can run at the same time now."""
 
     def run(
-        self,
-        work: Work,
-        cases: Sequence[Case],
-        store: Store,
-        notify: Callable[[str], None],
+        self, work: Work, cases: Sequence[Case], store: Store, notify: Callable[[str], None]
     ) -> Generator[Finished]:
         """Run cases, and yield each as it ends, in any order; closing the iterator ends all."""
 

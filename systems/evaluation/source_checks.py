@@ -317,8 +317,7 @@ def _check_speckle(volume: Volume) -> list[Finding]:
     if spread is None:
         return [
             _fine(
-                Check.SPECKLE,
-                "no speckle was found that could tell whether the spacing is right",
+                Check.SPECKLE, "no speckle was found that could tell whether the spacing is right"
             )
         ]
     widths = np.array(

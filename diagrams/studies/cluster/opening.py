@@ -26,10 +26,7 @@ _CONNECT_S = 15.0
 
 @contextmanager
 def open_cluster(
-    text: str,
-    *,
-    limit: float = CASE_LIMIT_S,
-    notify: Callable[[str], None] = print,
+    text: str, *, limit: float = CASE_LIMIT_S, notify: Callable[[str], None] = print
 ) -> Iterator["Cluster"]:
     """Open a cluster of Dask distributed for the cases of studies.
 

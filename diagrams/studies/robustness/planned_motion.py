@@ -1,6 +1,6 @@
 """The leaf that moves probe and phantom as planned, in place of a robot."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -20,6 +20,7 @@ from sonoservo.diagrams.experiments.following_scene import (
 )
 from sonoservo.diagrams.needle_tracker import MakeNeedleTracker
 from sonoservo.diagrams.scenario import draw_seeds
+from sonoservo.diagrams.scene import Scene
 from sonoservo.diagrams.tracker_bench import MakeTrackerBench, log_of
 from sonoservo.diagrams.trackers.registry import TRACKERS
 from sonoservo.diagrams.wiring import connect_by_name
@@ -194,11 +195,35 @@ def run_open_loop(
         for each in trackers
     }
     collector = VolumeCollector(**observer_events(scenario))
-    observers: dict[str, System] = {**benches, "volume_collector": collector}
+    simulator = simulate_planned(
+        scenario,
+        scene,
+        MotionPlan(scenario, scene.insertion),
+        {**benches, "volume_collector": collector},
+        until=scenario.duration,
+    )
+    context = simulator.get_context()
+    logs = {
+        name: log_of(each, each.GetMyContextFromRoot(context)) for name, each in benches.items()
+    }
+    return logs, collector.volumes(collector.GetMyContextFromRoot(context))
+
+
+def simulate_planned(
+    scenario: FollowingScenario,
+    scene: Scene,
+    plan: MotionPlan,
+    observers: Mapping[str, System],
+    *,
+    until: float,
+    optional: Iterable[str] = (),
+) -> Simulator:
+    """Simulate a probe that moves as planned up to a time in s, and return the simulator.
+
+    ``optional`` names inputs of the observers that need no output.
+    """
     systems: dict[str, System] = {
-        "measured_motion": MakeMeasuredMotion(
-            scenario=scenario, plan=MotionPlan(scenario, scene.insertion)
-        ),
+        "measured_motion": MakeMeasuredMotion(scenario=scenario, plan=plan),
         **scene.reacting({"hand": Hand(insertion=scene.insertion)}),
         **imaging_systems(scenario, scene),
         **observers,
@@ -209,17 +234,13 @@ def run_open_loop(
     connect_by_name(
         builder,
         systems,
-        optional=("deformation",),
+        optional={"deformation", *optional},
         sees_truth={"hand", "scanner", *observers},
     )
     simulator = Simulator(builder.Build())
     simulator.Initialize()
-    simulator.AdvanceTo(scenario.duration)
-    context = simulator.get_context()
-    logs = {
-        name: log_of(each, each.GetMyContextFromRoot(context)) for name, each in benches.items()
-    }
-    return logs, collector.volumes(collector.GetMyContextFromRoot(context))
+    simulator.AdvanceTo(until)
+    return simulator
 
 
 def MakeMeasuredMotion(*, scenario: FollowingScenario, plan: MotionPlan) -> Diagram:
@@ -237,10 +258,7 @@ def MakeMeasuredMotion(*, scenario: FollowingScenario, plan: MotionPlan) -> Diag
     builder = DiagramBuilder()
     motion = builder.AddNamedSystem(
         "planned_motion",
-        PlannedMotion(
-            plan=plan,
-            X_PC=hand_eye_error(station.calibration, seeds.station),
-        ),
+        PlannedMotion(plan=plan, X_PC=hand_eye_error(station.calibration, seeds.station)),
     )
     delay = builder.AddNamedSystem(
         "pose_delay",

@@ -4,12 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from sonoservo.diagrams.studies.robustness.analysis import (
-    Group,
-    Threshold,
-    chased,
-    threshold,
-)
+from sonoservo.diagrams.studies.robustness.analysis import Group, Threshold, chased, threshold
 from sonoservo.diagrams.studies.robustness.graded_dials import GRADED
 from sonoservo.diagrams.studies.robustness.plots import study_figures
 from sonoservo.diagrams.studies.robustness.runs import OURS, PUBLISHED, TRACKERS, ZHAO
@@ -30,11 +25,7 @@ Groups = Mapping[str, Mapping[str, Group]]  # runs by experiment and kind of the
 
 _ERRORS: Sequence[tuple[str, str, Callable[[Group], Value]]] = (
     ("found", "%", lambda group: group.share(lambda run: run.found)),
-    (
-        "kept, while 10 mm or more stand out",
-        "%",
-        lambda group: group.share(lambda run: run.kept),
-    ),
+    ("kept, while 10 mm or more stand out", "%", lambda group: group.share(lambda run: run.kept)),
     ("success", "%", lambda group: group.share(lambda run: run.success)),
     ("tip error, median", "mm", lambda group: group.quantile("tip", 0.5)),
     ("tip error, 95 %", "mm", lambda group: group.quantile("tip", 0.95)),
@@ -65,11 +56,7 @@ _TRAVEL: Sequence[tuple[str, str, Callable[[Group], Value]]] = (
         "mm",
         lambda group: group.largest(lambda run: run.travel_mm or 0.0),
     ),
-    (
-        "runs with 10 mm of such travel or more",
-        "%",
-        lambda group: group.share(chased),
-    ),
+    ("runs with 10 mm of such travel or more", "%", lambda group: group.share(chased)),
 )
 
 
@@ -85,9 +72,7 @@ class RobustnessStudy(Study):
 
     def as_json(self, command: str) -> dict[str, Any]:
         """Return everything except the pictures, for a JSON file."""
-        return super().as_json(command) | {
-            "thresholds": [dict(each) for each in self.thresholds],
-        }
+        return super().as_json(command) | {"thresholds": [dict(each) for each in self.thresholds]}
 
 
 def report(outcomes: Sequence[Outcome], pictured: bool = False) -> RobustnessStudy:
