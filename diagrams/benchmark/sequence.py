@@ -94,21 +94,9 @@ _SALTED = 1000  # distance of the seeds of one salt from those of the next
 
 @dataclass(frozen=True)
 class Suite:
-    """One difficulty of the benchmark.
+    """One difficulty of the benchmark: changes in a scenario, and a phantom with changed fields."""
 
-    Parameters
-    ----------
-    line
-        Description for a person.
-    scenario
-        Scenario that it changes; for fig. 5 of Chatelain 2013, the changes `PLAIN` come first.
-    changes
-        Assignments in the scenario.
-    phantom, phantom_changes
-        Phantom that replaces the scenario's, and fields of its file.
-    """
-
-    line: str
+    line: str  # description for a person
     scenario: str = "chatelain2013_fig5"
     changes: tuple[str, ...] = ()
     phantom: str = ""

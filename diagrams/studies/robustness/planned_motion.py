@@ -50,12 +50,9 @@ _STEEPEST = np.deg2rad(80)
 class MotionPlan:
     """Poses of probe and phantom over time, planned from where the needle will be.
 
-    The probe rests during the first push, so that every tracker meets the needle with the probe at
-    rest. Then it comes over the needle's tip in 3 s, turns its image to the needle, and follows. It
-    rides on the phantom as it breathes.
-
-    `scenario`: scenario with station, phantom and its motion; `insertion`: insertion of the needle,
-    in a phantom at rest.
+    The probe rests during the first push, so that every tracker meets the needle at rest, comes
+    over the tip in 3 s, turns its image to the needle, and follows. It rides on the phantom as it
+    breathes.
     """
 
     scenario: FollowingScenario
@@ -123,15 +120,7 @@ class PlannedMotion(LeafSystem):
         - X_WT
         - calibrated_X_WP
 
-    All are RigidTransforms: the true pose of the probe, the pose of the phantom, and the pose of
-    the probe as an arm with an error of its hand-eye calibration has it.
-
-    Parameters
-    ----------
-    plan
-        Planned poses.
-    X_PC
-        Pose of the calibrated probe frame in the true one.
+    `X_PC` is the pose of the calibrated probe frame, as an arm has it, in the true one.
     """
 
     def __init__(self, *, plan: MotionPlan, X_PC: RigidTransform) -> None:
@@ -163,10 +152,7 @@ def make_bench(
     *,
     correct_poses: bool = False,
 ) -> Diagram:
-    """Make a bench that observes the volumes of a scenario with a tracker, by its kind.
-
-    The tracker has its default parameters; only its log reads the truth.
-    """
+    """Make a bench that observes the volumes of a scenario with a tracker, by its kind."""
     kind, looks = next(each for each in TRACKERS if each.kind == tracker), observer_events(scenario)
     return MakeTrackerBench(
         tracker=MakeNeedleTracker(
@@ -185,10 +171,7 @@ def make_bench(
 def run_open_loop(
     scenario: FollowingScenario, trackers: Sequence[str], *, correct_poses: bool = False
 ) -> tuple[dict[str, RunLog], list[Volume]]:
-    """Acquire a scenario's volumes with a probe that is moved as planned, and track in them.
-
-    Every tracker gets the same volumes with the same poses; none of them moves the probe.
-    """
+    """Acquire the volumes of a probe that is moved as planned, and track in them with each."""
     scene = make_scene(scenario)
     benches = {
         each: make_bench(scenario, scene.geometry, each, correct_poses=correct_poses)

@@ -62,11 +62,7 @@ _TRAVEL: Sequence[tuple[str, str, Callable[[Group], Value]]] = (
 
 @dataclass(frozen=True, kw_only=True)
 class RobustnessStudy(Study):
-    """Study of robustness, with the dials' thresholds; see `Study`.
-
-    `thresholds`: dial, unit, moderate strength, and threshold of each tracker in words, for each
-    dial.
-    """
+    """Study of robustness, with the dials' thresholds of each tracker in words; see `Study`."""
 
     thresholds: Sequence[Mapping[str, str]] = field(default_factory=tuple)
 
@@ -117,13 +113,7 @@ Curve = list[tuple[float, Mapping[str, Group]]]  # strength and runs by tracker,
 
 
 def dial_curves(outcomes: Sequence[Outcome]) -> dict[str, Curve]:
-    """Return the runs of the open loop by dial and strength; "plain" and the clinic are dials too.
-
-    Parameters
-    ----------
-    outcomes
-        Outcomes of cases. Those of other loops play no part.
-    """
+    """Return the runs of the open loop by dial and strength; "plain" and clinic are dials too."""
     groups = group_outcomes(outcomes)
     curves: dict[str, dict[float, Mapping[str, Group]]] = {}
     for each in outcomes:
