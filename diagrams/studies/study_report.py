@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 
 from sonoservo.diagrams.studies.fingerprint import made_with
 from sonoservo.diagrams.studies.records import present_commit
+from sonoservo.diagrams.studies.run_group import Value
 from sonoservo.diagrams.studies.study import Outcome
 from sonoservo.systems.evaluation.intervals import proportion_interval
 from sonoservo.systems.evaluation.reports.plots import png
@@ -91,6 +92,31 @@ class StudyRow:
     published_high: float | None = None
     target: float | None = None
     wanted: Side = "at most"  # side of the target on which the value must lie
+
+    @classmethod
+    def of(
+        cls,
+        experiment: str,
+        quantity: str,
+        unit: str,
+        ours: Value,
+        published: Value | None = None,
+        *,
+        target: float | None = None,
+        wanted: Side = "at most",
+        paper: float | None = None,
+    ) -> "StudyRow":
+        """Return the row of a figure; of a share, its target only if so many runs can tell."""
+        theirs = published or Value()
+        if target is not None and ours.share_of is not None:
+            target = target if can_be_judged(ours.share_of, target, wanted) else None
+        return cls(
+            experiment=experiment, quantity=quantity, unit=unit, paper=paper,
+            true=ours.true, estimated=ours.estimated, low=ours.low, high=ours.high,
+            published_true=theirs.true, published_estimated=theirs.estimated,
+            published_low=theirs.low, published_high=theirs.high,
+            target=target, wanted=wanted,
+        )  # fmt: skip
 
     @property
     def named(self) -> str:

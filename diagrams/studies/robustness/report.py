@@ -184,31 +184,9 @@ def _compared(
 ) -> list[StudyRow]:
     """Return a row of ours beside the published tracker's figure, and one of Zhao's."""
     ours, published = (figures.get(kind, Value()) for kind in (OURS, PUBLISHED))
-    rows = [
-        StudyRow(
-            experiment=experiment,
-            quantity=quantity,
-            unit=unit,
-            true=ours.true,
-            low=ours.low,
-            high=ours.high,
-            published_true=published.true,
-            published_low=published.low,
-            published_high=published.high,
-        )
-    ]
+    rows = [StudyRow.of(experiment, quantity, unit, ours, published)]
     if ZHAO in figures:
-        zhao = figures[ZHAO]
-        rows.append(
-            StudyRow(
-                experiment=experiment,
-                quantity=f"{quantity}, {ZHAO}",
-                unit=unit,
-                true=zhao.true,
-                low=zhao.low,
-                high=zhao.high,
-            )
-        )
+        rows.append(StudyRow.of(experiment, f"{quantity}, {ZHAO}", unit, figures[ZHAO]))
     return rows
 
 
