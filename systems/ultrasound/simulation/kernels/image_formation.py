@@ -45,7 +45,7 @@ class Acquired(NamedTuple):
     """(n, lines, 3) rays of the lines in P; see `coupling`."""
     open_shares: NDArray[np.float32]
     """(n, lines) factors on lines under which air lies."""
-    keys: NDArray[np.uint64]
+    keys: NDArray[np.unsignedinteger]
     """(n,) numbers that select the noise."""
     field: NDArray[np.complex64]
     """(n, lines, samples) speckle of the probe, or empty."""
