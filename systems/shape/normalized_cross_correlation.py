@@ -80,8 +80,13 @@ def _window_sums(arrays: NDArray[np.float64], shape: tuple[int, ...]) -> NDArray
     return arrays
 
 
-def best_match(search: ArrayLike, kernel: ArrayLike) -> Match | NotFound:
+def best_match(
+    search: ArrayLike, kernel: ArrayLike, log_prior: NDArray[np.float64] | None = None
+) -> Match | NotFound:
     """Find the place in a search region at which a kernel correlates best, to subelement accuracy.
+
+    ``log_prior`` is the logarithm of the prior density of each place, over the number of cells of
+    speckle in the kernel; each of them tells -ln(1 - rho^2) / 2 for a place.
 
     The maximum is refined by the paraboloid through its neighbours. Along each axis, the curvature
     puts the paraboloid's maximum at that of the cosine through the three values (Cespedes et al.
@@ -95,7 +100,11 @@ def best_match(search: ArrayLike, kernel: ArrayLike) -> Match | NotFound:
     if part.size == 0 or np.ptp(part) == 0:
         return NotFound("the kernel is constant")
     rho = normalized_cross_correlation(whole, part)
-    peak = np.unravel_index(np.argmax(rho), rho.shape)
+    score = rho
+    if log_prior is not None:
+        told = -0.5 * np.log1p(-(np.minimum(rho, 1 - 1e-6) ** 2), dtype=np.float64)
+        score = np.where(rho > 0, told + log_prior, -np.inf)
+    peak = np.unravel_index(np.argmax(score), rho.shape)
     if not rho[peak] > 0:
         return NotFound("nothing in the search region resembles the kernel")
     index = np.array(peak)
