@@ -16,7 +16,7 @@ from sonoservo.diagrams.papers.carriere2016.plots import (
     plot_sweeps,
 )
 from sonoservo.diagrams.papers.carriere2016.protocols import PROTOCOLS, SETS, SWEEP_SEEDS, SWEPT
-from sonoservo.diagrams.papers.carriere2016.runs import AS_PUBLISHED, BEVEL_MARK_DEG, TAUGHT
+from sonoservo.diagrams.papers.carriere2016.runs import AS_PUBLISHED, BEVEL_MARK_DEG, EXACT, TAUGHT
 from sonoservo.diagrams.studies.study import Outcome
 from sonoservo.diagrams.studies.study_report import Study, StudyFigure, StudyRow, can_be_judged
 from sonoservo.systems.evaluation.intervals import proportion_interval, run_interval
@@ -188,6 +188,9 @@ _COVERED = {
     "least_squares": "least squares, constant curvature",
 }
 
+_ABLATED = {"published": "our cross-sections", EXACT: "exact cross-sections"}
+"""Input of the printed filter without the printed search for cross-sections."""
+
 
 class _Set:
     """Runs of one experiment."""
@@ -349,6 +352,10 @@ def _error_rows(runs: _Set, paper: dict[str, float]) -> list[StudyRow]:
             "max_error_{}_mm",
         )
     )  # fmt: skip
+    for method, label in _ABLATED.items():
+        means = runs._means(method, "tip_error_{}_mm")
+        means = {f"published_{name}": each for name, each in means.items()}
+        rows.append(runs.row(f"tip error, filter as printed, {label}, mean", "mm", **means))
     least = np.array([each.get("bound", {}).get("tip_mm", np.nan) for each in runs.results])
     rows.append(
         runs.row(
