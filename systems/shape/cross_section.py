@@ -200,7 +200,10 @@ def find_again(
     region = image.intensities[low[0] : high[0], low[1] : high[1]]
     prior = None
     if parameters.position == "front":
-        cells = np.prod(parameters.template) / np.prod(2 * np.array(parameters.vertex))
+        # Only the cells of speckle and echoes that hold the template's energy tell a place.
+        energy = (last.template - last.template.mean(dtype=float)) ** 2
+        pixels = energy.sum() ** 2 / max(float((energy**2).sum()), 1e-300)
+        cells = max(pixels * np.prod(image.spacing / parameters.vertex) / 4, 1.0)
         places = np.indices(region.shape - size + 1) + (low + 0.5 * (size - 1))[:, None, None]
         away = (places - around[:, None, None]) * image.spacing[:, None, None]
         prior = -0.5 * (away**2).sum(axis=0) / expected[1] ** 2 / cells
