@@ -75,28 +75,26 @@ class WanderParameters(Bounded):
 def combined_wander(
     prior: WanderParameters, learnt: Sequence[WanderParameters]
 ) -> WanderParameters:
-    """Return the wander's distribution for the next needle after several in the same tissue.
+    """Return the wander's distribution after several needles in the same tissue.
 
-    ``learnt`` are those after each needle alone (`ShapeParticleFilter.learned_wander`). Logarithms
-    count as normal, with a variance from needle to needle that the scatter of the needles beyond
-    their own doubt tells (DerSimonian and Laird 1986). The prior counts only once.
+    ``learnt`` are those after each needle alone (`ShapeParticleFilter.learned_wander`). Their
+    logarithms count as normal, and the prior counts only once.
     """
 
     def combined(median: str, spread: str) -> dict[str, float]:
-        first, middle = getattr(prior, spread) ** -2, np.log(getattr(prior, median))
-        theirs = np.array([getattr(each, spread) ** -2 for each in learnt])
-        gained = np.maximum(theirs - first, 1e-9)
-        told = theirs * np.log([getattr(each, median) for each in learnt]) - first * middle
-        # A needle that says little must not say something extreme.
-        told = np.clip(told / gained, middle - 3, middle + 3)
-        total = gained.sum()
-        apart = float(gained @ (told - gained @ told / total) ** 2)
-        free = total - (gained @ gained) / total
-        between = max(apart - (len(learnt) - 1), 0.0) / free if len(learnt) > 1 else 0.0
-        weights = 1 / (1 / gained + between)
-        precision = first + weights.sum()
-        mean = (first * middle + weights @ told) / precision
-        return {median: float(np.exp(mean)), spread: float(np.sqrt(1 / precision + between))}
+        """Add up what each needle tells, as precisions of the logarithm."""
+        first = getattr(prior, spread) ** -2
+        precision, weighted = first, first * np.log(getattr(prior, median))
+        for each in learnt:
+            theirs = getattr(each, spread) ** -2
+            gained = max(theirs - first, 0.0)
+            middle = np.log(getattr(prior, median))
+            if gained:
+                told = theirs * np.log(getattr(each, median)) - first * middle
+                # A needle that says little must not say something extreme.
+                middle = np.clip(told / gained, middle - 3, middle + 3)
+            precision, weighted = precision + gained, weighted + gained * middle
+        return {median: float(np.exp(weighted / precision)), spread: float(precision**-0.5)}
 
     along, across = combined("amplitude", "spread"), combined("across", "across_spread")
     return replace(prior, **along, **across)

@@ -147,21 +147,6 @@ def test_whole_needles_teach_the_amplitude_for_the_next(wander):
     assert (nothing.amplitude, nothing.spread) == pytest.approx((prior.amplitude, prior.spread))
 
 
-def test_the_next_needle_may_differ_from_the_last_ones_as_these_do_from_each_other():
-    rng, prior = np.random.default_rng(3), WanderParameters(spread=1.0, across_spread=1.0)
-    needles = [
-        WanderParameters(
-            amplitude=0.1 * np.exp(0.2 * rng.normal()), spread=0.2,
-            across=0.1 * np.exp(np.hypot(0.2, 0.8) * rng.normal()), across_spread=0.2,
-        )
-        for _ in range(200)
-    ]  # fmt: skip
-    learnt = combined_wander(prior, needles)
-    assert learnt.spread < 0.1  # all had one amplitude in the plane
-    assert learnt.across_spread == pytest.approx(0.8, rel=0.15)
-    assert learnt.across == pytest.approx(0.1, rel=0.15)
-
-
 @pytest.mark.parametrize("wander", [0.0, 0.1, 0.3])
 def test_the_stated_region_holds_the_tip_when_the_amplitude_is_known(wander):
     known = WanderParameters(amplitude=max(wander, 0.01), spread=0.2, across=0.01)
