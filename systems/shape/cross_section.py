@@ -204,7 +204,9 @@ def find_again(
         energy = (last.template - last.template.mean(dtype=float)) ** 2
         pixels = energy.sum() ** 2 / max(float((energy**2).sum()), 1e-300)
         cells = max(pixels * np.prod(image.spacing / parameters.vertex) / 2, 1.0)
-        places = np.indices(region.shape - size + 1) + (low + 0.5 * (size - 1))[:, None, None]
+        places = (
+            np.indices(tuple(region.shape - size + 1)) + (low + 0.5 * (size - 1))[:, None, None]
+        )
         away = (places - around[:, None, None]) * image.spacing[:, None, None]
         prior = -0.5 * (away**2).sum(axis=0) / expected[1] ** 2 / cells
     match = best_match(
