@@ -54,8 +54,8 @@ def test_forward_kinematics_is_the_plants():
 @pytest.mark.parametrize(
     ("field", "value", "allowed"),
     [
-        ("hand_eye_translation", 2.0, "at most 0.1 m; lengths are in m"),
-        ("hand_eye_rotation_deg", -1.0, "at least 0"),
+        ("hand_eye_translation", 2.0, "from 0 to 0.1 m"),
+        ("hand_eye_rotation_deg", -1.0, "from 0 to 45 deg"),
         ("joint_offset_deg", np.nan, "at least 0"),
         ("probe_mass", -1.0, "above -1"),
     ],
