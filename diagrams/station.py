@@ -172,10 +172,7 @@ class StationParameters:
 def start_posture(
     parameters: StationParameters, probe: str = PROBE, surface: BodySurface | None = None
 ) -> NDArray[np.float64]:
-    """Return the initial joint positions of the arm.
-
-    Returns (n,) joint positions in rad.
-    """
+    """Return the (n,) initial joint positions of the arm, in rad."""
     try:
         return solve_posture(
             assemble_arm(parameters.arm, probe), parameters.probe_pose(surface=surface)
@@ -288,11 +285,8 @@ def MakeStation(
         builder.ExportOutput(poses[name].get_output_port(), name)
     joint_state = add_offset(builder, plant.get_state_output_port(arm.model_instance), offsets)
     builder.ExportOutput(joint_state, "joint_state")
-    measured = add_measured_pose(
-        builder, poses["true_X_WP"].get_output_port(), joint_state, arm=parameters.arm,
-        probe=probe, calibration=parameters.calibration, delay=parameters.pose_delay,
-        period=parameters.plant.time_step, seed=seed,
-    )  # fmt: skip
+    true_pose = poses["true_X_WP"].get_output_port()
+    measured = add_measured_pose(builder, true_pose, joint_state, parameters, probe, seed)
     builder.ExportOutput(measured, "X_WP")
 
     sensor = builder.AddNamedSystem(
@@ -314,10 +308,8 @@ def MakeStation(
     )
     builder.ExportOutput(reading, "wrist_force")
 
-    add_external_torque(
-        builder, joint_state, plant.get_net_actuation_output_port(arm.model_instance),
-        arm=parameters.arm, probe=probe, period=parameters.plant.time_step, seed=seed,
-    )  # fmt: skip
+    motor_torque = plant.get_net_actuation_output_port(arm.model_instance)
+    add_external_torque(builder, joint_state, motor_torque, parameters, probe, seed)
 
     pressed = builder.AddNamedSystem("contact_force", ContactForce(surface=surface))
     builder.Connect(
@@ -360,24 +352,20 @@ def add_measured_pose(
     builder: DiagramBuilder,
     true_pose: OutputPort,
     joint_state: OutputPort,
-    *,
-    arm: str,
+    parameters: StationParameters,
     probe: str,
-    calibration: CalibrationParameters,
-    delay: PoseDelayParameters,
-    period: float,
     seed: int,
 ) -> OutputPort:
     """Add the systems that measure the pose of the probe, and return the port of that pose."""
     measured = true_pose
-    if calibration.moves_probe:
-        held = assemble_arm(arm, probe, hand_eye_error(calibration, seed))
+    if parameters.calibration.moves_probe:
+        held = assemble_arm(parameters.arm, probe, hand_eye_error(parameters.calibration, seed))
         kinematics = ForwardKinematics(plant=held.plant, frame=held.frame)
         builder.AddNamedSystem("forward_kinematics", kinematics)
         builder.Connect(joint_state, kinematics.get_input_port())
         measured = kinematics.get_output_port()
-    if delay != PoseDelayParameters():
-        delayed = PoseDelay(parameters=delay, period=period, seed=seed)
+    if (delay := parameters.pose_delay) != PoseDelayParameters():
+        delayed = PoseDelay(parameters=delay, period=parameters.plant.time_step, seed=seed)
         builder.AddNamedSystem("pose_delay", delayed)
         builder.Connect(measured, delayed.get_input_port())
         measured = delayed.get_output_port()
@@ -388,23 +376,18 @@ def add_external_torque(
     builder: DiagramBuilder,
     joint_state: OutputPort,
     motor_torque: OutputPort,
-    *,
-    arm: str,
+    parameters: StationParameters,
     probe: str,
-    period: float,
     seed: int,
 ) -> None:
-    """Export what estimates the external torques on the joints, if the arm reports them.
-
-    The arguments are those of `add_measured_pose`, and the port of the motors' torques.
-    """
-    error = load_arm(arm).torque_error
+    """Export what estimates the external torques on the joints, if the arm reports them."""
+    error = load_arm(parameters.arm).torque_error
     if not error:
         return
     drives = ExternalTorque(
-        plant=assemble_arm(arm, probe).plant,
+        plant=assemble_arm(parameters.arm, probe).plant,
         error=np.array(error),
-        period=period,
+        period=parameters.plant.time_step,
         seed=seed,
     )
     builder.AddNamedSystem("external_torque", drives)

@@ -177,6 +177,14 @@ class TrackerBench:
         self._bench.ExecuteForcedEvents(self._context)
         return cast(NeedleEstimate, self.evaluate("estimate"))
 
+    def observe(self, time: float, observed: Mapping[str, Any]) -> None:
+        """Log what was observed at a time in s between two volumes, or after the last one."""
+        self._context.SetTime(time)
+        for name, value in observed.items():
+            self._fix(name, value)
+        logger = cast(Diagram, self._bench).GetSubsystemByName("run_logger")
+        logger.ForcedPublish(logger.GetMyContextFromRoot(self._context))
+
     def _fix(self, name: str, value: Any) -> None:
         port = self._bench.GetInputPort(name)
         if isinstance(value, RigidTransform):

@@ -26,7 +26,7 @@ from sonoservo.systems.recording import Recording
 # A recording stands in for your scanner: a needle that is pushed in while the probe rests.
 
 # %%
-changes = os.environ.get("SONOSERVO_QUICK", "duration=14").split()
+changes = os.environ.get("SONOSERVO_QUICK", "duration=20 hand.pushes.0.speed=0.005").split()
 folder = tempfile.TemporaryDirectory()
 path = Path(folder.name) / "mine.seq.nrrd"
 run(load_scenario("chatelain2013_fig4", changes=changes), record=path)

@@ -10,7 +10,7 @@ import traceback
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from typer.main import get_command
@@ -49,6 +49,10 @@ from sonoservo.diagrams.app.options import (
     write_printed,
 )
 from sonoservo.systems.files.refusals import ConfigurationError, describe, shorten
+
+if TYPE_CHECKING:
+    from sonoservo.diagrams.app.pages.pages import Pages
+    from sonoservo.diagrams.app.run_result import RunResult
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -126,7 +130,6 @@ def run_command(
     with console.status("Loading the simulator ..."):
         from sonoservo.diagrams.app.live.serve import serving
         from sonoservo.diagrams.app.run import run
-        from sonoservo.diagrams.app.run_result import end_words, summary_table
         from sonoservo.diagrams.app.terminal import Progress, end_run
         from sonoservo.diagrams.app.viewed_run import ViewedRun
         from sonoservo.diagrams.experiments.registry import load_scenario
@@ -164,14 +167,25 @@ def run_command(
             progress=False,
         )
     viewed.end(result.log)
-    console.print(summary_table(result))
-    say_report(folder)
-    write_printed(results.json_path, result.summary)
-    if pages:
-        pages.end(console, end_words(result), folder / "report.html")
+    _tell(result, folder, results, pages)
     if not result.failure and result.summary["interrupted"]:
         raise typer.Exit(INTERRUPTED)
     end_run(result)
+
+
+def _tell(
+    result: "RunResult", folder: Path, results: Results, pages: "Pages | None", note: str = ""
+) -> None:
+    """Print the figures of a run and where its report is, and end its pages."""
+    from sonoservo.diagrams.app.run_result import end_words, summary_table
+
+    console.print(summary_table(result))
+    say_report(folder)
+    if note:
+        console.print(note, soft_wrap=True)
+    write_printed(results.json_path, result.summary)
+    if pages:
+        pages.end(console, end_words(result), folder / "report.html")
 
 
 def drive_command(
@@ -195,7 +209,6 @@ def drive_command(
         from sonoservo.diagrams.app.kept_runs.kept_run import refusing
         from sonoservo.diagrams.app.live.serve import serving
         from sonoservo.diagrams.app.pages.pages import open_pages
-        from sonoservo.diagrams.app.run_result import end_words, summary_table
         from sonoservo.diagrams.app.terminal import Progress, end_run
         from sonoservo.diagrams.app.viewed_run import ViewedRun
         from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
@@ -224,12 +237,8 @@ def drive_command(
             show=progress.show,
         )
     viewed.end(result.log)
-    console.print(summary_table(result))
-    say_report(folder)
-    again = f"sonoservo run {folder / 'scenario.yaml'}"
-    console.print(f"To repeat this run: {again}", soft_wrap=True)
-    write_printed(results.json_path, result.summary)
-    pages.end(console, end_words(result), folder / "report.html")
+    again = f"To repeat this run: sonoservo run {folder / 'scenario.yaml'}"
+    _tell(result, folder, results, pages, again)
     end_run(result)
 
 

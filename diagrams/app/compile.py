@@ -16,8 +16,7 @@ if TYPE_CHECKING:
 _SPACING = 1e-3
 _SHAPE = (80, 60, 40)
 _VOLUMES, _BEFORE = 16, 7
-_ADVANCE = 3
-"""Advance of the needle from one synthetic volume to the next, in voxels."""
+_ADVANCE = 3  # Advance of the needle from one synthetic volume to the next, in voxels
 
 
 def compile_scanner() -> None:

@@ -11,7 +11,7 @@ from pydrake.geometry import Meshcat
 from pydrake.systems.framework import System
 
 from sonoservo.diagrams.app.kept_runs.kept_run import KeptRun, refusing
-from sonoservo.diagrams.app.pages.real_time import RealTime
+from sonoservo.diagrams.app.pages.pacer import RealTime
 from sonoservo.diagrams.app.run import finish
 from sonoservo.diagrams.app.run_result import RunResult
 from sonoservo.diagrams.experiments.following import FollowingExperiment
@@ -27,23 +27,17 @@ from sonoservo.systems.control.operator_settings import OperatorSettings
 from sonoservo.systems.display.console.controls import operator_controls
 from sonoservo.systems.display.console.operator_panel import OperatorPanel
 from sonoservo.systems.evaluation.log import write_log
-from sonoservo.systems.files.claims import claim_folder
-from sonoservo.systems.files.writing import write_atomically
+from sonoservo.systems.files.writing import claim_folder, write_atomically
 from sonoservo.systems.needle.operator_hand import OperatorHand
 from sonoservo.systems.robot.operator_phantom_motion import OperatorPhantomMotion
 
 if TYPE_CHECKING:
     from sonoservo.systems.display.console.console import Console
 
-_STRIDE = 1 / 16
-"""Time in s between two readings of the buttons: simulated, or real while paused."""
-
-_SAVE_EVERY = 10.0
-"""Simulated time in s after which the driven scenario is saved again."""
-
+_STRIDE = 1 / 16  # Time in s between two readings of the buttons: simulated, or real while paused
+_SAVE_EVERY = 10.0  # Simulated time in s after which the driven scenario is saved again
+# Shortest drive in s that is saved to a file of its own; clicks may follow one another quickly.
 _MIN_TRY = 1.0
-"""Shortest drive in s that is saved to a file of its own; clicks may follow one another quickly."""
-
 DRIVING = """\
 In the page, switch the keys on and press W to push the needle in, S to pull it out; or use the
 sliders. ? lists all keys. Space pauses, and "finish" ends the drive as Ctrl-C does here."""
@@ -53,17 +47,8 @@ sliders. ? lists all keys. Space pauses, and "finish" ends the drive as Ctrl-C d
 class DrivenExperiment(FollowingExperiment):
     """Following experiment with a teleoperated needle, phantom and controller.
 
-    Parameters
-    ----------
-    scenario
-        Scene of the run. The operator's actions replace its pushes, moves of the phantom and
-        changes of the controller.
-    console
-        Console whose pages the operator uses.
-    meshcat
-        Meshcat that draws the world, if any.
-    observers
-        Observing systems; see `FollowingExperiment`.
+    The operator's actions, from the console's pages, replace the scenario's pushes, moves of the
+    phantom and changes of the controller.
     """
 
     def __init__(
@@ -143,34 +128,10 @@ def drive(
 ) -> RunResult:
     """Let an operator drive in real time, for the scenario's duration or until they finish.
 
-    The operator's actions are saved as a scenario, which `run` repeats. Any number of pages may be
-    open, including none; all of them control the run.
-
-    Parameters
-    ----------
-    scenario
-        Scene of the run; see `DrivenExperiment`.
-    console
-        Console whose pages the operator uses.
-    meshcat
-        Meshcat that draws the world, if any.
-    observers
-        Observing systems; see `FollowingExperiment`.
-    out
-        Folder for scenario.yaml (the drive), scenario_1.yaml and so on (drives that were saved,
-        abandoned by a restart, or made earlier in the same folder), summary.json, log.npz, plots
-        and report.html; None writes nothing.
-    show
-        Function called regularly with the simulated time in s and a status text.
-
-    Returns
-    -------
-    Results of the run since its last start.
-
-    Raises
-    ------
-    ConfigurationError
-        If the scenario cannot be carried out.
+    The folder gets scenario.yaml, the drive, which `run` repeats; scenario_1.yaml and so on, drives
+    that were saved, abandoned by a restart, or made earlier; and the results of the run since its
+    last start, which are returned. `show` is called regularly with the simulated time in s and a
+    status text. ConfigurationError if the scenario cannot be carried out.
     """
     with refusing(scenario):
         experiment = DrivenExperiment(scenario, console, meshcat, observers)

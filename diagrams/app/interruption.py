@@ -19,12 +19,9 @@ INTERRUPTED = 130
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
-_RETRY = 0.01
-"""Time in s until an interruption that was swallowed is raised again."""
-
+_RETRY = 0.01  # Time in s until an interruption that was swallowed is raised again
+# Module of the compiler's callbacks.
 _COMPILER = os.path.join("llvmlite", "binding", "executionengine.py")
-"""Module of the compiler's callbacks."""
-
 _received: list[int] = []
 
 
@@ -41,14 +38,11 @@ def interrupted_code() -> int:
 def catch_interruptions() -> None:
     """Let SIGTERM and SIGHUP interrupt the program as Ctrl-C does, and end it within `PATIENCE`.
 
-    All three raise KeyboardInterrupt in the main thread, so that a run keeps what it has and writes
-    its summary. What is not written by then is left out. The watch is kept by a thread, because the
-    main thread may be inside a compiler. A second signal ends the program at once. A signal that is
-    ignored at the start, as by ``nohup``, stays ignored.
-
-    Callbacks from C and finalizers swallow exceptions. An interruption that arrives in one is
-    raised again shortly after it. The compiler's callbacks crash it if they fail, so there an
-    interruption waits.
+    All three raise KeyboardInterrupt in the main thread, so that a run keeps what it has. A second
+    signal ends the program at once; one that is ignored at the start, as by ``nohup``, stays
+    ignored. A thread keeps the watch, because the main thread may be inside a compiler. Callbacks
+    from C and finalizers swallow exceptions, so an interruption in one is raised again; one in the
+    compiler's callbacks, which crash it if they fail, waits.
     """
     watch, wake = socket.socketpair()
     wake.setblocking(False)

@@ -328,10 +328,8 @@ class Results(Printed):
 def with_common_options(command: Callable[..., None]) -> Callable[..., None]:
     """Return a command with the options that all have, and its dataclasses' fields as options.
 
-    Each parameter of a dataclass's type gives way to the fields of the dataclass, in a panel of the
-    help that has the name of the class which defines them. An error carries the choice of
-    ``--debug`` and the command's name to `sonoservo.diagrams.app.cli.run_arguments` as its
-    attributes ``debug`` and ``command``.
+    A parameter of a dataclass's type gives way to its fields, in a panel of the help named after
+    the class that defines them. An error carries the choice of ``--debug`` and the command's name.
     """
     hints = get_type_hints(command, include_extras=True)
     parameters: dict[str, tuple[Any, Any]] = {}

@@ -28,9 +28,8 @@ from sonoservo.systems.display.pages.meshcat_page import open_meshcat
 from sonoservo.systems.display.pages.site import Site
 from sonoservo.systems.evaluation.log import write_log
 from sonoservo.systems.evaluation.reports.movie import check_movie
-from sonoservo.systems.files.claims import claim_folder
 from sonoservo.systems.files.refusals import ConfigurationError
-from sonoservo.systems.files.writing import write_atomically
+from sonoservo.systems.files.writing import claim_folder, write_atomically
 
 if TYPE_CHECKING:
     from sonoservo.systems.display.console.console import Console

@@ -14,8 +14,7 @@ from sonoservo.systems.evaluation.labels import look_up
 from sonoservo.systems.evaluation.reports.report import Story, report_body
 from sonoservo.systems.evaluation.reports.verdict import Verdict
 
-_REASONS = 3
-"""Number of reasons of lost volumes that are shown."""
+_REASONS = 3  # Number of reasons of lost volumes that are shown
 
 
 @dataclass(frozen=True)
@@ -74,13 +73,7 @@ class RunResult:
 
 
 def summary_table(result: RunResult) -> Table:
-    """Return the figures of a run beside the published ones, for a terminal.
-
-    Parameters
-    ----------
-    result
-        Results of the run.
-    """
+    """Return the figures of a run beside the published ones, for a terminal."""
     summary, published = result.summary, result.published
     table = Table(title=f"{summary['scenario']}, seed {summary['seed']}", caption_justify="left")
     caption = Text(stops_text(summary))

@@ -27,23 +27,12 @@ from sonoservo.systems.signals.sweep import Sweep, SweepGeometry, SweepMotion
 from sonoservo.systems.signals.volume import Volume
 from sonoservo.systems.ultrasound.scan_conversion import ScanConversion, make_grid
 
-_INDENTATION = 4e-3
-"""Indentation of the phantom by a dome of 40 mm radius at 2 N, in m."""
+_INDENTATION = 4e-3  # Indentation of the phantom by a dome of 40 mm radius at 2 N, in m
 
 
 @dataclass(frozen=True, eq=False)
 class Scan:
-    """A sweep, its volume and the true needle, which draw themselves in a notebook.
-
-    Parameters
-    ----------
-    sweep, volume
-        Sweep as acquired, and on a Cartesian grid.
-    needle
-        True needle in W at the middle of the sweep, possibly empty.
-    caption
-        Probe and settings of the scan, in a line.
-    """
+    """A sweep as acquired, its volume, the true needle in W at its middle, and its settings."""
 
     sweep: Sweep
     volume: Volume

@@ -1,7 +1,6 @@
 """Output in the terminal: progress during a run, and figures at its end."""
 
 from collections.abc import Mapping, Sequence
-from types import TracebackType
 from typing import Any, Self
 
 import typer
@@ -29,8 +28,8 @@ def end_run(result: RunResult) -> None:
         raise typer.Exit(3)
 
 
+# Columns that a terminal of fewer than 120 characters has no room for.
 _NEEDS_WIDTH = ("ours, estimated", "as published, estimated", "as published, 95 %")
-"""Columns that a terminal of fewer than 120 characters has no room for."""
 
 
 def study_table(study: Study, width: int) -> Table:
@@ -44,85 +43,19 @@ def study_table(study: Study, width: int) -> Table:
     )
 
 
-def _make_bar(console: Console) -> RichProgress:
-    return RichProgress(
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        TextColumn("{task.fields[state]}", markup=False),
-        TimeRemainingColumn(),
-        console=console,
-    )
+class _Bar:
+    """Progress bar with a state in words; a context manager."""
 
-
-class Progress:
-    """Progress bar of a run, with the tracker's status.
-
-    Call it after every step with the experiment.
-
-    Parameters
-    ----------
-    console
-        Console to draw in.
-    scenario
-        Scenario of the run.
-    """
-
-    def __init__(self, console: Console, scenario: Scenario) -> None:
-        self._console = console
-        self._duration = scenario.duration
-        self._name = scenario.name
-        self._bar = _make_bar(console)
-        self._task = self._bar.add_task(
-            "starting (the first run compiles kernels for half a minute) ...",
-            total=scenario.duration,
-            state="",
+    def __init__(self, console: Console, name: str, total: float) -> None:
+        self._bar = RichProgress(
+            TextColumn("{task.description}", markup=False),
+            BarColumn(),
+            TextColumn("{task.fields[state]}", markup=False),
+            TimeRemainingColumn(),
+            console=console,
         )
-
-    def __enter__(self) -> Self:
-        self._bar.start()
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._bar.stop()
-
-    def __call__(self, experiment: Experiment[Any]) -> None:
-        """Move the bar."""
-        self.show(experiment.time, experiment.status)
-
-    def show(self, time: float, state: str) -> None:
-        """Move the bar to a simulated time in s, and show a status text."""
-        self._bar.update(
-            self._task,
-            description=self._name,
-            completed=time,
-            state=f"{time:5.1f} of {self._duration:g} s  {state}",
-        )
-
-
-class VolumeProgress:
-    """Progress bar of the work on a recording, with the tracker's mode.
-
-    Call it after every volume with its number and the estimate, if there is one.
-
-    Parameters
-    ----------
-    console
-        Console to draw in.
-    name
-        Name of the recording.
-    count
-        Number of its volumes.
-    """
-
-    def __init__(self, console: Console, name: str, count: int) -> None:
-        self._bar = _make_bar(console)
-        self._count = count
-        self._task = self._bar.add_task(name, total=count, state="")
+        self._total = total
+        self._task = self._bar.add_task(name, total=total, state="")
 
     def __enter__(self) -> Self:
         self._bar.start()
@@ -131,9 +64,31 @@ class VolumeProgress:
     def __exit__(self, *error: object) -> None:
         self._bar.stop()
 
+
+class Progress(_Bar):
+    """Progress bar of a run, with the tracker's status; call it after every step."""
+
+    def __init__(self, console: Console, scenario: Scenario) -> None:
+        starting = "starting (the first run compiles kernels for half a minute) ..."
+        super().__init__(console, starting, scenario.duration)
+        self._name = scenario.name
+
+    def __call__(self, experiment: Experiment[Any]) -> None:
+        """Move the bar."""
+        self.show(experiment.time, experiment.status)
+
+    def show(self, time: float, state: str) -> None:
+        """Move the bar to a simulated time in s, and show a status text."""
+        state = f"{time:5.1f} of {self._total:g} s  {state}"
+        self._bar.update(self._task, description=self._name, completed=time, state=state)
+
+
+class VolumeProgress(_Bar):
+    """Progress bar of a recording; call it with each volume's number and the estimate, if any."""
+
     def __call__(self, number: int, estimate: NeedleEstimate | None = None) -> None:
         """Move the bar."""
-        state = f"volume {number + 1} of {self._count}  {'' if estimate is None else estimate.mode}"
+        state = f"volume {number + 1} of {self._total}  {'' if estimate is None else estimate.mode}"
         self._bar.update(self._task, completed=number + 1, state=state)
 
 
@@ -153,16 +108,25 @@ def mode_words(summary: Mapping[str, Any]) -> str:
     return f"{summary['volumes']} volumes: {counted}"
 
 
-def mode_table(summary: Mapping[str, Any]) -> Table:
-    """Return the figures of a tracked recording, for a terminal."""
+def figures_table(
+    summary: Mapping[str, Any], column: str, labels: Mapping[str, str], *further: tuple[str, str]
+) -> Table:
+    """Return the figures of a summary that have a value, and further rows, for a terminal."""
     table = Table(title=str(summary["scenario"]))
     table.add_column("quantity")
-    table.add_column("this recording", justify="right")
-    for path, label in (recording_labels(summary["modes"]) | LABELS).items():
+    table.add_column(column, justify="right")
+    for path, label in labels.items():
         figure = look_up(summary, path)
         if figure is not None:
             table.add_row(label, format_figure(figure))
+    for row in further:
+        table.add_row(*row)
     return table
+
+
+def mode_table(summary: Mapping[str, Any]) -> Table:
+    """Return the figures of a tracked recording, for a terminal."""
+    return figures_table(summary, "this recording", recording_labels(summary["modes"]) | LABELS)
 
 
 _LIVE_ROWS = {
@@ -178,16 +142,11 @@ _LIVE_ROWS = {
 
 def live_table(summary: Mapping[str, Any]) -> Table:
     """Return the figures of live tracking, for a terminal."""
-    table = Table(title=str(summary["scenario"]))
-    table.add_column("quantity")
-    table.add_column("this stream", justify="right")
-    for path, label in _LIVE_ROWS.items():
-        table.add_row(label, format_figure(look_up(summary, path)))
-    for reason, count in summary["left_out_reasons"].items():
-        table.add_row(f"left out: {reason}", str(count))
+    left_out = summary["left_out_reasons"].items()
+    rows = [(f"left out: {reason}", str(count)) for reason, count in left_out]
     for mode, count in summary["modes"].items():
-        table.add_row(f"volumes after which the mode was {mode}", str(count))
-    return table
+        rows.append((f"volumes after which the mode was {mode}", str(count)))
+    return figures_table(summary, "this stream", _LIVE_ROWS, *rows)
 
 
 def findings_table(findings: Sequence[Finding]) -> Table:

@@ -31,20 +31,9 @@ Floats = NDArray[np.float64]
 class ViewedRun:
     """Writes the volumes of a run as they come, and the rest of its log at its end.
 
-    Parameters
-    ----------
-    path
-        File for a viewer, or None to write nothing.
-    scenario
-        Scenario of following; None for recorded volumes, of which neither arm nor sector is drawn.
-    after_step
-        Function called after every volume, as without a log.
-
-    Raises
-    ------
-    ConfigurationError
-        If the file's suffix is not allowed, its package is missing, or the scenario is of another
-        experiment.
+    Without a path it writes nothing; without a scenario of following, as for recorded volumes,
+    neither arm nor sector is drawn. ConfigurationError if the suffix is not allowed, its package is
+    missing, or the scenario is of another experiment.
     """
 
     def __init__(

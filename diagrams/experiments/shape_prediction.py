@@ -18,14 +18,12 @@ from sonoservo.diagrams.experiments.shape_prediction_scenario import (
 from sonoservo.diagrams.scenario import Scenario, draw_seeds, require_scenario
 from sonoservo.diagrams.scene import Scene
 from sonoservo.diagrams.shape_predictor import MakeShapePredictor
-from sonoservo.systems.display.console.shape_feed import ShapeFeed
-from sonoservo.systems.display.world.shape_view import ShapeView
+from sonoservo.systems.display.console.shape_page import ShapePage
+from sonoservo.systems.display.shape_view import ShapeScreen, ShapeView
+from sonoservo.systems.display.world.shape_world import ShapeWorld
 from sonoservo.systems.evaluation.log import Row
 from sonoservo.systems.evaluation.shape.shape_metrics import ShapeLog, summarize_shape
-from sonoservo.systems.evaluation.shape.shape_plots import (
-    SlicePicture,
-    picture_slice,
-)
+from sonoservo.systems.evaluation.shape.shape_plots import SlicePicture, picture_slice
 from sonoservo.systems.needle.hand import Hand
 from sonoservo.systems.needle.insertion import Insertion
 from sonoservo.systems.needle.insertion_parameters import OUTER_DIAMETER
@@ -123,17 +121,17 @@ class ShapePredictionExperiment(Experiment[ShapePredictionScenario]):
             "slice_converter": self.slice_converter,
             "shape_predictor": self.shape_predictor,
         }
+        screens: list[ShapeScreen] = []
         if meshcat is not None:
-            systems["shape_view"] = ShapeView(
-                meshcat=meshcat, tissue_size=tissue.size, depth=scenario.depth,
-                geometry=geometry,
-                period=scenario.period, offset=events["offset"] + INSTANT,
-            )  # fmt: skip
+            world = ShapeWorld(
+                meshcat=meshcat, tissue_size=tissue.size, depth=scenario.depth, geometry=geometry
+            )
+            screens.append(world)
         if console is not None:
-            systems["shape_feed"] = ShapeFeed(
-                console=console, depth=scenario.depth,
-                period=scenario.period, offset=events["offset"] + INSTANT,
-            )  # fmt: skip
+            screens.append(ShapePage(console=console, depth=scenario.depth))
+        if screens:
+            a_moment_later = {"period": scenario.period, "offset": events["offset"] + INSTANT}
+            systems["shape_view"] = ShapeView(screens=screens, **a_moment_later)
         super().__init__(
             scenario,
             systems,
@@ -146,7 +144,7 @@ class ShapePredictionExperiment(Experiment[ShapePredictionScenario]):
             event="estimate",
             clock=time.thread_time,
             optional=("deformation", "true_X_WP"),
-            sees_truth=("scanner", "shape_view", "shape_feed"),
+            sees_truth=("scanner", "shape_view"),
         )
 
     def make_predictor(self, scenario: ShapePredictionScenario) -> Diagram:

@@ -16,8 +16,7 @@ from sonoservo.diagrams.studies.processes import Processes
 from sonoservo.diagrams.studies.progress import StudyProgress
 from sonoservo.diagrams.studies.store import Store
 from sonoservo.diagrams.studies.study import Case, Executor, Finished, Outcome, Work
-from sonoservo.systems.files.claims import claim_folder
-from sonoservo.systems.files.writing import to_plain, write_json
+from sonoservo.systems.files.writing import claim_folder, to_plain, write_json
 
 
 def run_cases(

@@ -14,28 +14,17 @@ from sonoservo.systems.calibration.tissue_displacement import displacement_betwe
 from sonoservo.systems.signals.immutable import Immutable, NotFound
 from sonoservo.systems.signals.volume import Volume
 
-_VOLUMES, _PAIRS = 12, 60
-"""Largest numbers of earlier volumes and of pairs that are kept."""
-
+_VOLUMES, _PAIRS = 12, 60  # Largest numbers of earlier volumes and of pairs that are kept
+# Motion between two volumes in m and rad that tells most. After more of it, the speckle is
+# another one; after less, the errors hardly show.
 _TRANSLATION, _ROTATION = 3e-3, math.radians(4.0)
-"""Motion between two volumes in m and rad that tells most. After more of it, the speckle is another
-one; after less, the errors hardly show."""
-
+# Smallest and largest motion between two volumes that are compared, relative to those.
 _LEAST, _MOST = 0.1, 2.0
-"""Smallest and largest motion between two volumes that are compared, relative to those."""
 
 
 @dataclass(frozen=True, eq=False)
 class PoseCalibration(Immutable):
-    """What volumes said about the errors of their poses.
-
-    Parameters
-    ----------
-    volumes
-        Newest volumes.
-    equations
-        Equations of each pair that was compared.
-    """
+    """What the newest volumes, and the equations of pairs, say about the errors of their poses."""
 
     volumes: tuple[Volume, ...] = ()
     equations: tuple[PoseEquations, ...] = ()

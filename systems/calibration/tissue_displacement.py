@@ -12,31 +12,17 @@ from sonoservo.systems.signals.volume import Volume
 
 Floats = NDArray[np.float64]
 
+# Distance between the samples of a block in m, its edge length in samples, and the largest
+# displacement that is looked for, in samples.
 _PITCH, _KERNEL, _REACH = 0.7e-3, 15, 6
-"""Distance between the samples of a block in m, its edge length in samples, and the largest
-displacement that is looked for, in samples."""
-
-_APART = 14e-3
-"""Distance between the centres of neighbouring blocks, in m."""
-
-_SEEN = 0.98
-"""Share of a search region that must be seen."""
-
-_LEAST_CORRELATION = 0.5
-"""Correlation below which a block counts as changed."""
+_APART = 14e-3  # Distance between the centres of neighbouring blocks, in m
+_SEEN = 0.98  # Share of a search region that must be seen
+_LEAST_CORRELATION = 0.5  # Correlation below which a block counts as changed
 
 
 @dataclass(frozen=True, eq=False)
 class TissueDisplacement(Immutable):
-    """Apparent displacements of blocks of tissue from one volume to another.
-
-    Parameters
-    ----------
-    p_W
-        (m, 3) positions of the blocks' centres in W according to the first volume, in m.
-    displacement
-        (m, 3) positions according to the second volume minus those, in m.
-    """
+    """(m, 3) centres of blocks in W by the first volume, and displacements in the second, in m."""
 
     p_W: Floats
     displacement: Floats
@@ -47,15 +33,10 @@ class TissueDisplacement(Immutable):
 
 
 def displacement_between(first: Volume, second: Volume) -> TissueDisplacement:
-    """Measure how far tissue seems to have moved in W between two volumes.
+    """Measure how far tissue seems to have moved in W between two volumes that overlap there.
 
     Blocks of the first volume are looked for in the second one. If tissue and poses are right, they
     are found where they were.
-
-    Parameters
-    ----------
-    first, second
-        Volumes that overlap in W.
     """
     half, axes = _KERNEL // 2, first.X_WP.rotation().matrix()
     p_W = first.to_world(_centres(first))[0]

@@ -3,8 +3,10 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
+from numba import njit
 from numpy.typing import ArrayLike, NDArray
 from pydrake.multibody.inverse_kinematics import (
     DifferentialInverseKinematicsParameters,
@@ -21,7 +23,6 @@ from pydrake.systems.framework import (
 )
 from scipy.linalg.lapack import dgesv
 
-from sonoservo.systems.control.joint_limits import keeps_limits
 from sonoservo.systems.signals.requirements import (
     NotNegative,
     check_bounds,
@@ -56,8 +57,8 @@ class DifferentialKinematicsParameters:
         check_bounds(self)
 
 
+# Highest speed in rad/s at which the axis is corrected, that of the visual servo's rotation.
 _MAX_TILT_SPEED = math.radians(20.0)
-"""Highest speed in rad/s at which the axis is corrected, that of the visual servo's rotation."""
 
 
 def probe_twist(
@@ -227,3 +228,18 @@ class DifferentialKinematics(LeafSystem):
             return homewards + np.linalg.pinv(J) @ (V_WP_P - J @ homewards)
         except np.linalg.LinAlgError:
             return np.full_like(q, np.nan)
+
+
+@njit(cache=True)
+def keeps_limits(wanted: Any, last: Any, limits: Any) -> bool:  # pragma: no cover - compiled
+    """Return True if a command keeps the limits of the joints and continues the last one.
+
+    Both hold positions and velocities, the last one NaN where nothing has to be continued. The (3,
+    2n) limits are least and greatest values, and largest changes.
+    """
+    for i in range(len(wanted)):
+        if not limits[0, i] <= wanted[i] <= limits[1, i]:
+            return False
+        if abs(wanted[i] - last[i]) > limits[2, i]:
+            return False
+    return True

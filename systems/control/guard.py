@@ -18,6 +18,7 @@ from pydrake.systems.framework import (
     LeafSystem,
 )
 
+from sonoservo.systems.control.differential_kinematics import keeps_limits
 from sonoservo.systems.control.force_latency import lags, next_correlation
 from sonoservo.systems.control.guard_decision import EMPTY, next_memory
 from sonoservo.systems.control.guard_parameters import GuardParameters
@@ -31,21 +32,15 @@ from sonoservo.systems.control.guard_sight import (
     along,
     region,
 )
-from sonoservo.systems.control.joint_limits import keeps_limits
 from sonoservo.systems.signals.guard_status import GuardState, GuardStatus
 from sonoservo.systems.signals.ports import declare_output
 from sonoservo.systems.signals.requirements import require_positive
 from sonoservo.systems.signals.scratch_context import declare_scratch_context, scratch_context
 
-_TOLERANCE = 1e-9
-"""Rounding error of joint positions and speeds, in rad and rad/s."""
-
+_TOLERANCE = 1e-9  # Rounding error of joint positions and speeds, in rad and rad/s
+# Difference of postures in rad between which the levers of the torques differ by less than 2 %.
 _SAME_POSTURE = 0.02
-"""Difference of postures in rad between which the levers of the torques differ by less than 2 %."""
-
-_SERVO_STEPS = 2
-"""Steps from a command to the force that it takes: the command's own and the arm's."""
-
+_SERVO_STEPS = 2  # Steps from a command to the force that it takes: the command's own and the arm's
 _STATES = dict(zip(Mode, GuardState, strict=True))
 
 

@@ -14,30 +14,19 @@ from sonoservo.systems.control.guard_rules import (
 )
 from sonoservo.systems.control.guard_sight import GuardMemory, Mode, Region, Sight, along
 
-_TOUCH = 1.0
-"""Force in N from which on the probe touches the body."""
-
-_SMOOTH = 0.05
-"""Time in s over which the force by the arm's torques is smoothed to tell contact."""
-
+_TOUCH = 1.0  # Force in N from which on the probe touches the body
+_SMOOTH = 0.05  # Time in s over which the force by the arm's torques is smoothed to tell contact
+# Time in s of contact without a cause to stop after which instruments are believed again.
 _AGREED = 1.0
-"""Time in s of contact without a cause to stop after which instruments are believed again."""
-
+# Time in s of contact without too much force after which the approach becomes faster again.
 _CALM = 2.0
-"""Time in s of contact without too much force after which the approach becomes faster again."""
-
-_HARD = 1.0
-"""Time in s after the first touch in which too much force is that of a hard landing."""
-
-_MAX_CAUTION = 4
-"""Number of hard landings after which the approach is as slow as it gets."""
-
+_HARD = 1.0  # Time in s after the first touch in which too much force is that of a hard landing
+_MAX_CAUTION = 4  # Number of hard landings after which the approach is as slow as it gets
+# Share of the probe's inertial force that is left after a step of 10 ms, as the servo follows.
 _SERVO = 0.5
-"""Share of the probe's inertial force that is left after a step of 10 ms, as the servo follows."""
-
+# Factors on the time before the controller commands again, by the number of doubts: a fault of 5
+# s has ended before the third landing.
 _PATIENCE = (1.0, 1.0, 20.0)
-"""Factors on the time before the controller commands again, by the number of doubts: a fault of
-5 s has ended before the third landing."""
 
 
 EMPTY = GuardMemory(charges=len(RULES) * (0.0,), noticed=len(RULES) * (0.0,))

@@ -116,27 +116,28 @@ class GuardParameters:
     """
 
     enabled: bool = True
-    max_force: float = 10.0
-    disagreement: float = 3.0
+    max_force: Annotated[float, within(1.0, PEAK)] = 10.0
+    disagreement: Annotated[float, within(1.0, 4.0)] = 3.0
     surface: list[float] = field(default_factory=list)
-    max_depth: float = 0.02
-    max_rise: float = 0.06
+    max_depth: Annotated[float, within(0.001, 0.03)] = 0.02
+    max_rise: Annotated[float, within(0.001, 0.1)] = 0.06
     workspace_min: list[float] = field(default_factory=lambda: [-0.25, -0.25, -0.1])
     workspace_max: list[float] = field(default_factory=lambda: [0.25, 0.25, 0.12])
-    max_tilt_deg: float = 30.0
-    max_speed: float = 0.15
-    max_acceleration: float = 10.0
-    max_joint_acceleration: float = 40.0
-    max_pose_error: float = 0.01
+    max_tilt_deg: Annotated[float, within(1.0, 60.0)] = 30.0
+    max_speed: Annotated[float, within(0.01, 0.3)] = 0.15
+    max_acceleration: Annotated[float, within(0.1, 20.0)] = 10.0
+    max_joint_acceleration: Annotated[float, within(1.0, 200.0)] = 40.0
+    max_pose_error: Annotated[float, within(1e-3, 0.03)] = 0.01
     pose_frozen_after: NotNegative = 0.1
-    retreat_speed: float = 0.3
-    retreat_acceleration: float = 10.0
-    clearance: float = 0.02
+    retreat_speed: Annotated[float, within(BODY_SPEED, 0.5)] = 0.3
+    retreat_acceleration: Annotated[float, within(1.0, 20.0)] = 10.0
+    clearance: Annotated[float, within(math.sqrt(PEAK / CURVATURE), 0.1)] = 0.02
     max_retreat: float = 0.15
-    resume_after: float = 0.25
+    resume_after: Annotated[float, within(0.1, 60.0)] = 0.25
     wrist_sensor: WristSensorLimits = field(default_factory=WristSensorLimits)
 
     def __post_init__(self) -> None:
+        check_bounds(self)
         finite = bool(np.isfinite(self.surface).all())
         require(
             len(self.surface) in (0, 3) and finite,
@@ -150,25 +151,8 @@ class GuardParameters:
             require(good, name, corner, "three coordinates in m")
         below = bool(np.less(self.workspace_min, self.workspace_max).all())
         require(below, "workspace_min", self.workspace_min, "below workspace_max along each axis")
-        deepest = math.sqrt(PEAK / CURVATURE)
-        for name, low, high in (
-            ("max_force", 1.0, PEAK),
-            ("disagreement", 1.0, 4.0),
-            ("max_depth", 0.001, 0.03),
-            ("max_rise", 0.001, 0.1),
-            ("max_tilt_deg", 1.0, 60.0),
-            ("max_speed", 0.01, 0.3),
-            ("max_acceleration", 0.1, 20.0),
-            ("max_joint_acceleration", 1.0, 200.0),
-            ("max_pose_error", 1e-3, 0.03),
-            ("retreat_speed", BODY_SPEED, 0.5),
-            ("retreat_acceleration", 1.0, 20.0),
-            ("clearance", deepest, 0.1),
-            ("max_retreat", self.max_rise + self.clearance, 0.3),
-            ("resume_after", 0.1, 60.0),
-        ):
-            require_within(name, getattr(self, name), low, high)
-        check_bounds(self)
+        least = self.max_rise + self.clearance
+        require_within("max_retreat", self.max_retreat, least, 0.3)
         time = time_above(self.max_force, self.retreat_speed, self.retreat_acceleration)
         require(
             time <= LONGEST,

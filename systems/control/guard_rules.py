@@ -26,27 +26,19 @@ WINDOW = 0.02
 MAX_DOUBTS = 3
 """Number of times that an instrument is found wrong after which a person must confirm."""
 
+# Time in s for which the force must be too much: the probe's inertia pushes for less.
 _PULSE = 0.015
-"""Time in s for which the force must be too much: the probe's inertia pushes for less."""
-
+# Change of the pressing force between two samples in N that is noted: in 10 ms, a body that comes
+# at 5 cm/s or slower changes it less.
 _NOTED_STEP = 0.5
-"""Change of the pressing force between two samples in N that is noted: in 10 ms, a body that comes
-at 5 cm/s or slower changes it less."""
-
-_AT_REST = 2e-4
-"""Distance in m below which the probe counts as not commanded to move."""
-
+_AT_REST = 2e-4  # Distance in m below which the probe counts as not commanded to move
+# Log-likelihood ratio at which witnesses disagree: by chance once in e^40 steps, or in e^27 if
+# their zeros differ by a sixth of the disagreement to be found.
 _NATS = 40.0
-"""Log-likelihood ratio at which witnesses disagree: by chance once in e^40 steps, or in e^27 if
-their zeros differ by a sixth of the disagreement to be found."""
-
+# Rate at which a condition is forgotten, as a share of that at which it is believed. A sensor
+# that is wrong in every other sample is found.
 _FORGET = 1 / 3
-"""Rate at which a condition is forgotten, as a share of that at which it is believed. A sensor that
-is wrong in every other sample is found."""
-
-_ZERO_ERROR = 0.5
-"""Error in N of the wrist's force where there is no arm to compare it with."""
-
+_ZERO_ERROR = 0.5  # Error in N of the wrist's force where there is no arm to compare it with
 _TEMPLATES = {
     "wrist_not_finite": "the wrist sensor's samples are not numbers",
     "wrist_out_of_range": "the wrist sensor is saturated or out of its range of "

@@ -178,11 +178,10 @@ class GuardMemory(NamedTuple):
 
 
 class Region(NamedTuple):
-    """Where the probe may be.
+    """Where the probe may be, in W, in m.
 
     Corners of the workspace, lowest height of the face and highest at which it can touch the body,
-    direction from which the tilt counts, cosine of the largest tilt, and longest way along the axis
-    after contact has begun: in W, in m.
+    direction from which the tilt counts and cosine of the largest, longest way along it in contact.
     """
 
     low: Vector

@@ -3,12 +3,13 @@
 from typing import Any
 
 from pydrake.common.value import Value
-from pydrake.systems.framework import BasicVector, Context, LeafSystem, State
+from pydrake.systems.framework import Context, State
 
 from sonoservo.systems.control.controller_schedule import ControllerChange, ControllerSchedule
+from sonoservo.systems.control.scheduled_settings import ScheduledSettings
 
 
-class OperatorSettings(LeafSystem):
+class OperatorSettings(ScheduledSettings):
     """Outputs the controller settings that an operator asks for, from the next sample onwards.
 
     .. pydrake_system::
@@ -33,14 +34,11 @@ class OperatorSettings(LeafSystem):
     """
 
     def __init__(self, *, schedule: ControllerSchedule, period: float = 1 / 16) -> None:
-        super().__init__()
+        super().__init__(schedule=schedule)
         self.DeclareVectorInputPort("controller_target", 2)
         self.DeclareAbstractState(Value[object](schedule))
         start = schedule.start
         self.DeclareAbstractState(Value[object]({"gain": start.gain, "force": start.force}))
-        read = {self.xa_ticket(), self.time_ticket()}
-        for name, calc in (("gain", self._calc_gain), ("force_target", self._calc_force_target)):
-            self.DeclareVectorOutputPort(name, 1, calc, prerequisites_of_calc=read)
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._update)
 
     def schedule(self, context: Context) -> ControllerSchedule:
@@ -58,9 +56,3 @@ class OperatorSettings(LeafSystem):
             schedule = self.schedule(context).with_change(change)
             state.get_mutable_abstract_state(0).set_value(schedule)
             state.get_mutable_abstract_state(1).set_value(wanted)
-
-    def _calc_gain(self, context: Context, output: BasicVector) -> None:
-        output.SetAtIndex(0, self.schedule(context).at(context.get_time()).gain)
-
-    def _calc_force_target(self, context: Context, output: BasicVector) -> None:
-        output.SetAtIndex(0, self.schedule(context).at(context.get_time()).force)

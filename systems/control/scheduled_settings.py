@@ -27,10 +27,15 @@ class ScheduledSettings(LeafSystem):
         super().__init__()
         self._schedule = schedule
         for name, calc in (("gain", self._calc_gain), ("force_target", self._calc_force_target)):
-            self.DeclareVectorOutputPort(name, 1, calc, prerequisites_of_calc={self.time_ticket()})
+            read = {self.xa_ticket(), self.time_ticket()}
+            self.DeclareVectorOutputPort(name, 1, calc, prerequisites_of_calc=read)
+
+    def schedule(self, context: Context) -> ControllerSchedule:
+        """Return the schedule that holds."""
+        return self._schedule
 
     def _calc_gain(self, context: Context, output: BasicVector) -> None:
-        output.SetAtIndex(0, self._schedule.at(context.get_time()).gain)
+        output.SetAtIndex(0, self.schedule(context).at(context.get_time()).gain)
 
     def _calc_force_target(self, context: Context, output: BasicVector) -> None:
-        output.SetAtIndex(0, self._schedule.at(context.get_time()).force)
+        output.SetAtIndex(0, self.schedule(context).at(context.get_time()).force)

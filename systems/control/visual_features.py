@@ -85,12 +85,11 @@ def saturated(
 
 
 def significant_velocity(velocity: NDArray[np.float64], min_speed: float) -> NDArray[np.float64]:
-    """Return an estimated velocity if it stands out from its noise, and zero otherwise.
+    """Return a velocity if it stands out from its noise: all from twice `min_speed`, none below it.
 
     A filter's velocity is never exactly zero, and following its noise would shake a probe at rest.
-    From twice `min_speed` on it is unchanged, below `min_speed` zero, and continuous in between.
-    The velocity's covariance cannot tell noise from motion: a filter that allows for sudden starts
-    is uncertain of a velocity that hardly scatters.
+    Its covariance cannot tell noise from motion: a filter that allows for sudden starts is
+    uncertain of a velocity that hardly scatters.
     """
     speed = math.hypot(*velocity.tolist())
     if speed >= 2 * min_speed:

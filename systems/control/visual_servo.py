@@ -23,8 +23,7 @@ from sonoservo.systems.signals.requirements import (
     Positive,
 )
 
-_FOLLOWED = (TrackingMode.TRACKING, TrackingMode.COASTING)
-"""Modes in which an estimate is followed."""
+_FOLLOWED = (TrackingMode.TRACKING, TrackingMode.COASTING)  # Modes in which an estimate is followed
 
 
 @dataclass(kw_only=True)

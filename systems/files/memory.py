@@ -49,22 +49,7 @@ def set_memory_budget(gigabytes: float | None, source: str) -> Iterator[None]:
 
 
 def require_memory(size: float, source: str, what: str) -> None:
-    """Refuse what needs more memory than the budget, before anything is made of it.
-
-    Parameters
-    ----------
-    size
-        Memory that is needed, in bytes.
-    source
-        File or field that asks for it, named at the start of the error.
-    what
-        Contents that need the memory, as a plural.
-
-    Raises
-    ------
-    ConfigurationError
-        If it is more than the budget; the message says how a person can raise it.
-    """
+    """Refuse contents (a plural) of a file or field that need more bytes than the budget."""
     budget = memory_budget()
     if not size <= budget:
         raise ConfigurationError(

@@ -15,6 +15,9 @@ from sonoservo.systems.files.refusals import ConfigurationError, refusing_failur
 from sonoservo.systems.files.volume_file import (
     MAX_FILES,
     MAX_HEADER,
+    MAX_STEP,
+    MILLIMETRES,
+    SECONDS,
     DataSection,
     DataSections,
     FieldUse,
@@ -23,6 +26,7 @@ from sonoservo.systems.files.volume_file import (
     check_layout,
     decode_header,
     existing_file,
+    joined,
     listed_files,
 )
 
@@ -36,9 +40,8 @@ SPACES = {
 }
 """Signs that turn a space's axes into LPS; other spaces are not anatomical."""
 
+# Right-handed spaces whose axes have no anatomical names. They are taken as LPS, with a note.
 _NAMELESS = ("scanner-xyz", "3d-right-handed")
-"""Right-handed spaces whose axes have no anatomical names. They are taken as LPS, with a note."""
-
 FIELDS = {
     **dict.fromkeys(
         (
@@ -82,10 +85,6 @@ _SYNONYMS = {
     "sampleunits": "sample units",
 }
 
-_MM = {"mm": 1.0, "cm": 10.0, "m": 1e3, "um": 1e-3, "\N{MICRO SIGN}m": 1e-3, "": 1.0, "???": 1.0}
-_MM |= {"millimeter": 1.0, "millimetre": 1.0, "millimeters": 1.0, "micron": 1e-3, "meter": 1e3}
-_SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "sec": 1.0, "second": 1.0, "seconds": 1.0}
-
 _TYPES = {
     "u1": ("uchar", "unsigned char", "uint8", "uint8_t"),
     "i1": ("signed char", "int8", "int8_t"),
@@ -105,19 +104,14 @@ _TYPES = {
 }  # fmt: skip
 _CODES = {name: code for code, names in _TYPES.items() for name in names}
 
+# Kinds of axes that may hold red, green, blue and perhaps opacity: ITK calls colours vectors.
 _COLOURS = {
     "rgb-color": 3, "rgba-color": 4, "3-color": 3, "4-color": 4, "vector": 3, "3-vector": 3,
     "4-vector": 4,
 }  # fmt: skip
-"""Kinds of axes that may hold red, green, blue and perhaps opacity: ITK calls colours vectors."""
-
 _AXIS = re.compile(r"axis \d+ (?=index)")
 
-_BLOCK = 1 << 26
-"""Bytes transposed at a time if a file has its list or colours first."""
-
-_SLOWEST = 20.0
-"""Largest time between volumes that is one in s rather than another unit, in s."""
+_BLOCK = 1 << 26  # Bytes transposed at a time if a file has its list or colours first
 
 
 def open_nrrd(path: Path, *, frames: bool = False) -> VolumeFile:
@@ -313,7 +307,7 @@ class _Reader:
             said = f"its space {name!r} has" if name else "it names no space and has"
             self.notes.append(f"{said} no anatomical axes; they are taken as LPS")
         units = [each.strip().lower() for each in self.entries("space units")] or ["mm"] * 3
-        scales = [_MM.get(unit) for unit in units[:3]]
+        scales = [MILLIMETRES.get(unit) for unit in units[:3]]
         if len(scales) < 2 or None in scales:
             raise ConfigurationError(
                 f"{self.path}: space units: {units} are not allowed; use mm, cm, m or um"
@@ -362,7 +356,7 @@ class _Reader:
         for k, axis in enumerate(spatial):
             count = self.sizes[axis]
             unit = units[axis].strip().lower() if len(units) > axis else "mm"
-            if unit not in _MM:
+            if unit not in MILLIMETRES:
                 raise self.refuse("units", "lengths are in mm, cm, m or um")
             # Like Teem and ITK, samples of unknown kind are taken to fill cells.
             cell = not (len(centers) > axis and centers[axis].lower() == "node")
@@ -370,13 +364,15 @@ class _Reader:
             if not np.isfinite(step):
                 step = (high - low) / (count if cell else max(count - 1, 1))
             if np.isfinite(step):
-                steps[k] = step * _MM[unit]
+                steps[k] = step * MILLIMETRES[unit]
             elif not self.frames:
                 self.notes.append(f"it states no spacing along axis {axis}; 1 mm is taken")
             if np.isfinite(low):
-                first[k] = (low + (0.5 * step if cell and np.isfinite(step) else 0.0)) * _MM[unit]
+                first[k] = (
+                    low + (0.5 * step if cell and np.isfinite(step) else 0.0)
+                ) * MILLIMETRES[unit]
             elif np.isfinite(high) and np.isfinite(step):
-                first[k] = (high - step * (count - (0.5 if cell else 1))) * _MM[unit]
+                first[k] = (high - step * (count - (0.5 if cell else 1))) * MILLIMETRES[unit]
         if np.isnan(lows[spatial]).all() and not self.frames and "space origin" not in self.header:
             self.notes.append("it states no position; its first voxel is taken to lie at 0")
         if (steps < 0).any():
@@ -415,7 +411,7 @@ class _Reader:
                 offset += skip
             inside = skip if compression else 0
             sections.append(DataSection(source, offset, each, compression=compression, skip=inside))
-        return sections[0] if len(sections) == 1 else DataSections(sections, each)
+        return joined(sections, each)
 
     def _data_files(self) -> Sequence[Path]:
         name = self.header.get("data file")
@@ -450,7 +446,7 @@ class _Reader:
             for field in ("labels", "units")
         )
         unit = self.header.get(f"axis {listed} index units", unit).lower()
-        scale = _SECONDS.get(unit)
+        scale = SECONDS.get(unit)
         if values is not None and (scale or label == "time"):
             times = np.array(values.split(), float) * (scale or 1.0)
             if len(times) != count:
@@ -465,18 +461,18 @@ class _Reader:
         vectors, origins = self._vectors("space directions"), self._vectors("space origin")
         step = first = np.nan
         units = self.entries("space units")
-        scale = _SECONDS.get((units + [""] * 4)[3].lower())
+        scale = SECONDS.get((units + [""] * 4)[3].lower())
         if vectors is not None and vectors.shape[1] == 4:
             step = float(vectors[listed, 3])
             first = float(origins[0, 3]) if origins is not None and origins.shape[1] == 4 else 0.0
         elif vectors is None:
             step, first = (float(self._numbers(each)[listed]) for each in ("spacings", "axis mins"))
             units = self.entries("units")
-            scale = _SECONDS.get((units + [""] * len(self.sizes))[listed].lower())
+            scale = SECONDS.get((units + [""] * len(self.sizes))[listed].lower())
         if not (np.isfinite(step) and step > 0) or (scale is None and step == 1.0):
             return None
         step *= scale or 1.0
-        if step > _SLOWEST:
+        if step > MAX_STEP:
             return None
         self.notes.append(f"its volumes are {step:g} s apart, by the spacing along its list axis")
         begin = 0.0 if np.isnan(first) else first * (scale or 1.0)

@@ -30,9 +30,8 @@ FRAME_FIELDS = {
 """Fields of a volume or frame, ``Seq_Frame0012_Name``; the first two end a transform's name."""
 
 _FRAME_FIELD = re.compile(r"Seq_Frame\d+_(\w+)")
+# Axis of the probe (lateral, axial, elevation) that a letter stands for, and its sign in MFA.
 _LETTERS = {"M": (0, 1), "U": (0, -1), "F": (1, 1), "N": (1, -1), "A": (2, 1), "D": (2, -1)}
-"""Axis of the probe (lateral, axial, elevation) that a letter stands for, and its sign in MFA."""
-
 _RAW = {
     "RF_REAL": "real radio-frequency samples",
     "RF_IQ_LINE": "radio-frequency samples, I and Q",

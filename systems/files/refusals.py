@@ -1,7 +1,9 @@
-"""The error of a user's mistake, and the boundary at which any failure becomes one."""
+"""The error of a user's mistake, and the boundaries at which any failure becomes one."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib import import_module
+from types import ModuleType
 
 MAX_MESSAGE = 300
 """Largest length of a message to a person, in characters."""
@@ -55,3 +57,14 @@ def refusing_failures(source: object, what: str = "") -> Iterator[None]:
     except Exception as error:
         prefix = f"{source}: {what}: " if what else f"{source}: "
         raise ConfigurationError(f"{prefix}{describe(error)}") from error
+
+
+def require_extra(module: str, extra: str, source: object) -> ModuleType:
+    """Return a module of an optional package, or name the extra that brings it."""
+    try:
+        return import_module(module)
+    except ModuleNotFoundError as error:
+        raise ConfigurationError(
+            f"{source}: this needs the package {module.partition('.')[0]}; install it with "
+            f"pip install 'sonoservo[{extra}]'"
+        ) from error

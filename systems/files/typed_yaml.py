@@ -22,8 +22,8 @@ from sonoservo.systems.files.yaml_loader import MAX_DEPTH, MAX_LENGTH, Dumper, T
 
 T = TypeVar("T")
 
+# Largest number of bytes that are read of a file: a character has up to four.
 _MAX_BYTES = 4 * MAX_LENGTH
-"""Largest number of bytes that are read of a file: a character has up to four."""
 
 
 def suggest(name: str, known: Iterable[str]) -> str:
@@ -35,13 +35,7 @@ def suggest(name: str, known: Iterable[str]) -> str:
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
-    """Read a YAML file that contains a mapping.
-
-    Raises
-    ------
-    ConfigurationError
-        If the file cannot be read, is not YAML or does not contain a mapping.
-    """
+    """Read a YAML file that contains a mapping; ConfigurationError if that fails."""
     with refusing_failures(path, "cannot be read"), path.open("rb") as file:
         text = file.read(_MAX_BYTES).decode()
     with refusing_failures(path, "not YAML"):
@@ -53,27 +47,12 @@ def read_yaml(path: Path) -> dict[str, Any]:
 
 
 def load_typed(schema: type[T], data: Mapping[str, Any], source: str) -> T:
-    """Make a fully defaulted dataclass from a mapping.
+    """Make a fully defaulted dataclass, perhaps with others in it, from values by field.
 
     A field may be one of several dataclasses, each with a field ``kind`` whose default is its name.
-    The mapping's ``kind`` then chooses the dataclass. Without it, the dataclass is that of the
-    field's default. The name alone, in place of a mapping, chooses a dataclass with all its
-    defaults.
-
-    Parameters
-    ----------
-    schema
-        Class of the dataclass, which may contain others.
-    data
-        Values that differ from the defaults.
-    source
-        File or scenario, named at the start of every error.
-
-    Raises
-    ------
-    ConfigurationError
-        If a field is unknown or its value is not allowed. The message names the field by its path,
-        its value and the allowed values.
+    The mapping's ``kind``, or the name alone in place of a mapping, chooses one, by default that of
+    the field's default. A ConfigurationError names the source, the field by its path, its value and
+    what is allowed.
     """
     with refusing_failures(source):
         made: T = _Loader(source).fill(schema, data, "")
@@ -121,19 +100,10 @@ def without_numpy(value: Any) -> Any:
 
 
 def apply_changes(data: dict[str, Any], changes: Mapping[str, Any] | Sequence[str] | None) -> None:
-    """Change fields of a nested mapping, in the given order.
+    """Change fields of a nested mapping: values by dotted path, or ``path.to.field=value``.
 
-    Parameters
-    ----------
-    data
-        Mapping to change.
-    changes
-        Mapping of dotted paths to values, or texts ``path.to.field=value`` with the value in YAML.
-
-    Raises
-    ------
-    ConfigurationError
-        If they have another form, or a path leads through a value without fields.
+    The values in texts are YAML. ConfigurationError if changes have another form, or a path leads
+    through a value without fields.
     """
     if isinstance(changes, Mapping):
         for path, value in changes.items():

@@ -30,19 +30,32 @@ MAX_EXTENT = 1e3
 MAX_POSITION = 1e5
 """Largest distance of a volume or a pose from the origin, in mm."""
 
-_BYTES_PER_VOXEL = 32
-"""Memory that the work on a volume takes for each voxel, in bytes."""
-
+_BYTES_PER_VOXEL = 32  # Memory that the work on a volume takes for each voxel, in bytes
+# Memory for the time, the pose and the fields of a volume in a sequence, in bytes.
 _BYTES_PER_VOLUME = 4000
-"""Memory for the time, the pose and the fields of a volume in a sequence, in bytes."""
-
 MAX_DEFLATED = 1032
 """Highest compression ratio of Deflate."""
 
-_PIECE = 1 << 20
-"""Number of bytes read at a time."""
-
+_PIECE = 1 << 20  # Number of bytes read at a time
 _GZIP = b"\x1f\x8b"
+
+MILLIMETRES = {
+    **dict.fromkeys(("mm", "millimeter", "millimetre", "millimeters", "", "?", "???"), 1.0),
+    **dict.fromkeys(("um", "\N{MICRO SIGN}m", "micron"), 1e-3),
+    **dict.fromkeys(("m", "meter"), 1e3),
+    "cm": 10.0,
+}
+"""Units of length in headers, in mm; without one, mm are taken."""
+
+SECONDS = {
+    **dict.fromkeys(("s", "sec", "second", "seconds"), 1.0),
+    **dict.fromkeys(("ms", "msec"), 1e-3),
+    **dict.fromkeys(("us", "usec"), 1e-6),
+}
+"""Units of time in headers, in s."""
+
+MAX_STEP = 20.0
+"""Largest time between volumes that is one in s rather than in another unit, in s."""
 
 MAX_FILES = 10_000
 """Largest number of data files that a header may name."""
@@ -56,42 +69,24 @@ class HoldsFramesError(ConfigurationError):
     """A file was taken to hold volumes, but holds 2D frames."""
 
 
+def require_frames(path: Path, frames: bool, what: str) -> None:
+    """Refuse a file of 2D frames, ``what`` in words, where volumes are expected."""
+    if not frames:
+        raise HoldsFramesError(
+            f"{path}: {what} are 2D frames; make volumes of them with --reconstruct"
+        )
+
+
 @dataclass(frozen=True, eq=False)
 class VolumeFile:
     """Volumes in a file, as its header describes them.
 
-    Parameters
-    ----------
-    path
-        Path of the file.
-    shape
-        Numbers of voxels along the file's three spatial axes.
-    count
-        Number of volumes.
-    directions
-        (3, 3) array whose columns are the steps from one voxel to the next along each axis, in mm,
-        in LPS.
-    origin
-        (3,) position of the first voxel in mm, in LPS.
-    read
-        Function that returns the n-th volume, of shape `shape`, in any memory order. It raises
-        `ConfigurationError` if the file has less data than its header announces.
-    times
-        (count,) times of the volumes in s; None if the file has none.
-    fields
-        Fields of the header, by name.
-    notes
-        What a person should know about how the file was read, each a sentence.
-    channels
-        Numbers of each voxel, along a last axis of what ``read`` returns: 1 for an echo, without
-        such an axis; 3 or 4 for colours.
-    void
-        Number that stands for what was not seen, if the header states one.
-
-    Raises
-    ------
-    ConfigurationError
-        If a volume, or the number of volumes, is beyond the budget of memory.
+    `directions` has the steps to the next voxel along each of the three axes as columns, and
+    `origin` is the place of the first voxel, in mm, in LPS. `read` returns the n-th volume in any
+    memory order, colours along a last axis, or raises `ConfigurationError` if data are missing.
+    `times` are (count,), in s. `fields` are those of the header by name; each of the `notes` is a
+    sentence for a person; `void` is the number that stands for what was not seen, if one is stated.
+    What is beyond the budget of memory is refused.
     """
 
     path: Path
@@ -137,10 +132,8 @@ def check_layout(
         raise ConfigurationError(f"{path}: {count} volumes of {_times(shape)} voxels: it is empty")
     if frames and (shape[2] != 1 or min(shape[:2]) < 2):
         raise ConfigurationError(f"{path}: {_times(shape)} voxels are not 2D frames")
-    if not frames and min(shape) < 2:
-        raise HoldsFramesError(
-            f"{path}: {_times(shape)} voxels are 2D frames; make volumes of them with --reconstruct"
-        )
+    if min(shape) < 2:
+        require_frames(path, frames, f"{_times(shape)} voxels")
     steps = np.linalg.norm(directions, axis=0)
     if not (np.isfinite(steps) & (steps > 0)).all():
         raise ConfigurationError(f"{path}: voxel spacing {steps.tolist()} mm; it must be above 0")
@@ -279,6 +272,19 @@ class DataSections:
             pieces.append(self._sections[number].read(first, part))
             start, size = start + part, size - part
         return b"".join(pieces)
+
+
+def joined(sections: Sequence[DataSection], size: int) -> DataSection | DataSections:
+    """Return data in one or several files, each with so many bytes."""
+    return sections[0] if len(sections) == 1 else DataSections(sections, size)
+
+
+def number_or_nan(text: str | None) -> float:
+    """Return a number; NaN if a text is none."""
+    try:
+        return float(text) if text else np.nan
+    except ValueError:
+        return np.nan
 
 
 def decode_header(data: bytes) -> str:

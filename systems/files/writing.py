@@ -1,43 +1,31 @@
-"""Atomic writing of files."""
+"""Atomic writing of files, and claims of a folder or file for a single writer."""
 
 import errno
+import fcntl
 import json
 import math
 import os
 import tempfile
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any
+
+from sonoservo.systems.files.refusals import ConfigurationError
 
 PARTIAL = ".partial"
 """Suffix of the hidden files that are being written."""
 
+# Beginnings of the paths of open files, which may already hold other output.
 _STREAMS = ("/dev/", "/proc/")
-"""Beginnings of the paths of open files, which may already hold other output."""
 
 
 def write_atomically(path: str | Path, data: bytes | str) -> Path:
-    """Write a file atomically: a reader sees the old file or the new one, never a part.
+    """Write bytes, or text as UTF-8, atomically: a reader sees the old file or the new one.
 
-    A symbolic link stays a link, and the file that it leads to is written. Devices, pipes and files
-    with several names are written into, never replaced.
-
-    Parameters
-    ----------
-    path
-        Path of the file. Its folder is created if necessary.
-    data
-        Bytes, or text that is written as UTF-8.
-
-    Returns
-    -------
-    Path of the file.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be written; the error names it.
+    The folder is made if necessary. A symbolic link stays a link, and the file that it leads to is
+    written. Devices, pipes and files with several names are written into, never replaced. An
+    OSError names the file. Returns its path.
     """
     path = Path(path)
     content = data.encode() if isinstance(data, str) else data
@@ -117,20 +105,7 @@ class Unwritten:
 
 
 def write_json(path: str | Path, data: Any) -> Path:
-    """Write data as a JSON file, atomically.
-
-    Parameters
-    ----------
-    path
-        Path of the file.
-    data
-        JSON data, which may also contain NumPy numbers and arrays. Numbers that are not finite
-        become null.
-
-    Returns
-    -------
-    Path of the file.
-    """
+    """Write data, also NumPy's, as JSON, atomically; numbers that are not finite become null."""
     return write_atomically(path, to_json(data))
 
 
@@ -150,3 +125,37 @@ def to_plain(data: Any) -> Any:
     if isinstance(data, float) and not math.isfinite(data):
         return None
     return data
+
+
+@contextmanager
+def claim_folder(folder: Path | None) -> Iterator[None]:
+    """Keep every other process that claims a folder from writing into it; None claims nothing.
+
+    The folder is made, and a killed writer's partial files removed. The operating system ends the
+    claim with the process. On a file system without locks, nothing is claimed.
+    """
+    if folder is None:
+        yield
+        return
+    make_folder(folder)
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        claim(handle, folder, "another --out")
+        for partial in folder.glob(f".*{PARTIAL}"):
+            with suppress(OSError):
+                partial.unlink()
+        yield
+    finally:
+        os.close(handle)
+
+
+def claim(handle: int, path: Path, other: str) -> None:
+    """Claim an open file until its handle is closed; the error names ``other`` as the way out."""
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        raise ConfigurationError(
+            f"{path}: another run is writing here; wait for its end, or give {other}"
+        ) from error
+    except OSError:
+        return  # a file system without locks

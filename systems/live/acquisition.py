@@ -34,24 +34,10 @@ _VOLUME = ("time", "X_WP", "direction", "frame_times", "frame_X_WP")
 
 @dataclass(frozen=True, eq=False)
 class VolumeAcquisition(Immutable):
-    """Time, pose and grid of a volume's acquisition.
+    """Exact time in s, pose and grid of a volume's acquisition, which time stamps and images round.
 
-    Parameters
-    ----------
-    time
-        Exact time of the volume in s; time stamps have steps of 2^-32 s.
-    origin, spacing
-        (3,) origin and spacing of its grid in P, in m.
-    X_WP
-        Pose of the probe.
-    motion
-        Time and pose of each frame; None if unknown.
-    decibels_per_level
-        Decibels per grey level.
-    point_spread
-        Width of a point's echo; None if unknown.
-    settings
-        Settings of the scanner.
+    Origin and spacing are (3,), in P, in m. Motion and point spread are None if unknown; `settings`
+    are those of the scanner.
     """
 
     time: float

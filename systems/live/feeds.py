@@ -40,12 +40,8 @@ FRAME = "Frame"
 TIP, NEEDLE, TISSUE = "TrueTipToReference", "TrueNeedle", "TrueTissueToRef"
 """Device names of the truth; trackers take none that begins with True."""
 
-_TIP_LENGTH = 1e-3
-"""Length in m over which the direction at the true tip is taken."""
-
-_KEEP = 2
-"""Number of large values that wait for a slow receiver; it gets the newest."""
-
+_TIP_LENGTH = 1e-3  # Length in m over which the direction at the true tip is taken
+_KEEP = 2  # Number of large values that wait for a slow receiver; it gets the newest
 _POINTS = 21
 
 
@@ -53,18 +49,9 @@ _POINTS = 21
 class NeedleNames:
     """Device names of what is told about a needle; 1 to 20 bytes long, empty leaves it out.
 
-    Parameters
-    ----------
-    tip
-        TRANSFORM with its origin at the tip and Z along the needle.
-    curve
-        POLYDATA with the needle as a line, or POINT with its control points if ``points``.
-    status
-        STATUS with mode and reason.
-    covariance
-        NDARRAY with the covariance of the tip.
-    points
-        True to send the curve as points.
+    `tip`: TRANSFORM with its origin at the tip and Z along the needle; `curve`: POLYDATA with a
+    line, or POINT with control points if ``points``; `status`: STATUS with mode and reason;
+    `covariance`: NDARRAY with that of the tip.
     """
 
     tip: str = "NeedleTipToReference"
@@ -167,19 +154,11 @@ def truth_items(needle: Needle, X_WT: RigidTransform, time: float) -> list[Item]
 
 @dataclass(frozen=True, kw_only=True)
 class Feed:
-    """Inputs of a `Sender`, and how their values become messages.
+    """Inputs of a `Sender` with their types, and how their values become messages.
 
-    Parameters
-    ----------
-    inputs
-        Types of each input port, by name.
-    items
-        Function of the time in s and the inputs' values, by name, that returns the messages.
-    stamp
-        Function of the values that returns their time in s, or None if there is nothing to send.
-        Values are sent once. Without it, whatever the inputs hold is sent each time.
-    topic, keep
-        See `Link.send`.
+    `items` makes the messages of the time in s and the values by name. `stamp` returns the values'
+    time in s, of which each is sent once, or None if there is nothing to send; without it, whatever
+    the inputs hold is sent each time. See `Link.send` for topic and keep.
     """
 
     inputs: Mapping[str, Types]

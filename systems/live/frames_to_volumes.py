@@ -27,25 +27,11 @@ def frame_levels(posed: PosedImage, grey: GreyLevels) -> NDArray[Any]:
 
 
 class FramesToVolumes:
-    """Makes a volume of the frames between two turns of the probe, or of so many frames.
+    """Makes a volume of the frames between two turns of the probe, or of so many ``frames``.
 
-    The second axis of a frame runs away from the probe. W is the frame that the poses lead to.
-
-    Parameters
-    ----------
-    window
-        See `GreyLevels`.
-    dynamic_range_db
-        dB from black to white; 60 by default.
-    frames
-        Number of frames of each volume; by default a volume ends where the probe turns round.
-    spacing
-        Size of a voxel, in m.
-
-    Raises
-    ------
-    ValueError
-        If one of them is not allowed.
+    The second axis of a frame runs away from the probe. W is the frame that the poses lead to. See
+    `GreyLevels` for the window; 60 dB from black to white are the default, and voxels have a
+    spacing in m. ValueError if one of them is not allowed.
     """
 
     takes_frames = True

@@ -20,24 +20,15 @@ from sonoservo.systems.signals.immutable import Immutable, NotFound
 
 DEFAULT_POSES = "ProbeToReference"
 
-_SAME = 1e-6
-"""Time stamps in s that differ by less are the same."""
-
+_SAME = 1e-6  # Time stamps in s that differ by less are the same
+# Time in s that an image waits for its pose; the first one, to see whether there are poses.
 _WAIT, _FIRST_WAIT = 0.15, 0.5
-"""Time in s that an image waits for its pose; the first one, to see whether there are poses."""
-
+# A time stamp in s that jumps further is that of a clock that was set anew.
 _BACKWARDS, _FORWARDS = 1.0, 60.0
-"""A time stamp in s that jumps further is that of a clock that was set anew."""
-
-_APART = 0.5
-"""Difference in s between two clocks that delays of messages do not explain."""
-
+_APART = 0.5  # Difference in s between two clocks that delays of messages do not explain
+# Time in s after which another peer may take the place of one that sends nothing more.
 _SILENT = 2.0
-"""Time in s after which another peer may take the place of one that sends nothing more."""
-
-_ESTABLISHED = 10
-"""Number of images in a row after which the images of other peers are left aside."""
-
+_ESTABLISHED = 10  # Number of images in a row after which the images of other peers are left aside
 _REMEMBERED, _WAITING, _NAMES, _SENDERS = 8, 32, 32, 512
 
 MAX_WAITING = 1 << 29
@@ -56,22 +47,11 @@ class LeftOut(Enum):
 
 @dataclass(frozen=True, eq=False)
 class PosedImage(Immutable):
-    """An image and the pose that the sender's frame L had.
+    """An image and the pose X_WL that the sender's frame L had: identity for a probe at rest.
 
-    Parameters
-    ----------
-    image
-        Image as received.
-    X_WL
-        Pose of L in the reference frame W; identity for a probe at rest.
-    acquisition
-        Acquisition, if a scanner of this package sent it.
-    time
-        Time in s; unlike the image's own time stamp, it never runs backwards.
-    arrived
-        Time of arrival of the last byte, by `time.perf_counter`.
-    sender
-        Peer and device that it comes from.
+    `acquisition`: what a scanner of this package said of it; `time` in s, which unlike the image's
+    own stamp never runs backwards; `arrived`: arrival of its last byte (`time.perf_counter`);
+    `sender`: peer and device.
     """
 
     image: ImageItem
@@ -90,22 +70,12 @@ def least(numbers: Iterable[int]) -> int:
 
 @dataclass(eq=False)
 class _Sender:
-    """What one peer has sent of late.
+    """What one peer has sent of late; times in s.
 
-    Parameters
-    ----------
-    device
-        Device whose images are taken; empty until the first has come.
-    links, uncomposed
-        Other transforms of the peer by name, and times at which a chain of them is not known yet.
-    offset
-        Time stamps of the poses minus those of this peer's images, in s.
-    images
-        Number of its images since its clock jumped.
-    shift
-        Time of the stream minus the stamps of this peer's images, in s.
-    stamp, arrived
-        Stamp and arrival of its last image, in s.
+    `device`: that of its images, empty before the first; `offset`: time stamps of the poses minus
+    those of its images; `links`, `uncomposed`: other transforms by name, and times at which a chain
+    of them is not known yet; `images`: their number since its clock jumped; `shift`: time of the
+    stream minus its stamps; `stamp`, `arrived`: those of its last image.
     """
 
     device: str

@@ -4,7 +4,6 @@ import threading
 import time
 from collections import Counter, deque
 from collections.abc import Callable
-from types import TracebackType
 from typing import Any, Protocol, Self
 
 from sonoservo.systems.live.connection.items import Item
@@ -43,30 +42,12 @@ class ImagesToVolumes(Protocol):
 class LiveSource:
     """The newest volumes of a connection.
 
-    Parameters
-    ----------
-    address
-        Address that they come from.
-    maker
-        Makes volumes of images; by default `VolumeMaker`, of images with several layers.
-    poses
-        Name of the device that is the probe's pose; see `ImageMatcher`.
-    keep
-        Number of volumes that wait while one is worked on; older ones are dropped. Until the first
-        has been worked on, which may compile what it needs, up to 64 wait, and are caught up on.
-    clock_offset
-        Difference between the clocks of poses and images; see `ImageMatcher`.
-    report
-        Function that is called with one line for a person.
+    A ``maker`` makes them of images, by default `VolumeMaker`; see `ImageMatcher` for ``poses`` and
+    ``clock_offset``. While one is worked on, ``keep`` wait, and older ones are dropped. Until the
+    first has been worked on, which may compile what it needs, up to 64 wait, and are caught up on.
 
-    Attributes
-    ----------
-    dropped
-        Number of images that were dropped because newer ones had come.
-    times
-        Times of the last images that came, in s, with those that were dropped.
-    newest
-        Image of the last volume that was taken.
+    `dropped` counts images that newer ones replaced; `times` are those of the last images that
+    came, in s; `newest` is the image of the last volume taken.
     """
 
     def __init__(
@@ -102,12 +83,7 @@ class LiveSource:
         self.link.start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.link.close()
 
     @property

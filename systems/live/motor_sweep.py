@@ -52,34 +52,17 @@ class MotorSweepParameters:
 
 
 def load_motor_sweep(path: Path) -> MotorSweepParameters:
-    """Read how a motor sweeps from a YAML file.
-
-    Raises
-    ------
-    ConfigurationError
-        Naming the field that is wrong, its value and what is allowed.
-    """
+    """Read how a motor sweeps from a YAML file; a ConfigurationError names a wrong field."""
     return load_typed(MotorSweepParameters, read_yaml(path), str(path))
 
 
 class MotorSweepVolumes:
     """Makes a volume of every sweep of a motorised probe.
 
-    A frame's time tells its place in the sweep. Frames of (samples, lines) numbers are converted
-    as the simulated scanner's are; others are pictures, placed by the motor's angle: their first
-    row lies on the face, their first axis along the array.
-
-    Parameters
-    ----------
-    parameters
-        Sweep of the motor.
-    window
-        See `GreyLevels`.
-
-    Raises
-    ------
-    ValueError
-        If one of them is not allowed.
+    A frame's time tells its place in the sweep. Frames of (samples, lines) numbers are converted as
+    the simulated scanner's are; others are pictures, placed by the motor's angle: their first row
+    lies on the face, their first axis along the array. ValueError if a parameter, or the window
+    (`GreyLevels`), is not allowed.
     """
 
     takes_frames = True

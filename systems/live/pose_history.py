@@ -8,19 +8,14 @@ from pydrake.math import RigidTransform, RotationMatrix
 from sonoservo.systems.signals.immutable import NotFound
 
 _CAPACITY = 1024
+# Time in s: what lies further back is a clock that was set anew, not a message that was late.
 _JUMP = 1.0
-"""Time in s: what lies further back is a clock that was set anew, not a message that was late."""
 
 
 class PoseHistory:
-    """Poses with their times.
+    """Poses with their times, bridged by interpolation over at most ``max_gap`` s.
 
-    Parameters
-    ----------
-    max_gap
-        Longest time between two poses that is bridged by interpolation, in s.
-    tolerance
-        Longest time in s before the first or after the last pose at which that pose is still taken.
+    At most ``tolerance`` s before the first or after the last pose, that pose is still taken.
     """
 
     def __init__(self, *, max_gap: float = 0.5, tolerance: float = 0.05) -> None:

@@ -2,14 +2,10 @@
 
 from collections import deque
 
+# A stamp that has not changed for longer than this time in s, over three messages, stands.
 _STANDS = 0.1
-"""A stamp that has not changed for longer than this time in s, over three messages, stands."""
-
-_RUNS = 3
-"""Number of successive stamps that advance, after which a clock runs again."""
-
-_SET_ANEW = 1.0
-"""Change of the delay in s that no network makes: the clock was set anew."""
+_RUNS = 3  # Number of successive stamps that advance, after which a clock runs again
+_SET_ANEW = 1.0  # Change of the delay in s that no network makes: the clock was set anew
 
 
 class StreamClock:

@@ -20,8 +20,7 @@ from sonoservo.systems.signals.sweep import DECIBELS_PER_LEVEL
 from sonoservo.systems.signals.volume import Volume
 
 _RIGHT_ANGLE = 1e-3
-_SAME_GRID = 1e-7
-"""Difference in m that comes from single precision."""
+_SAME_GRID = 1e-7  # Difference in m that comes from single precision
 
 
 def grey_scale(dynamic_range_db: float | None) -> float:
@@ -35,22 +34,11 @@ def grey_scale(dynamic_range_db: float | None) -> float:
 class VolumeMaker:
     """Turns posed images into volumes; the first one decides about the grid.
 
-    A grid is placed in the probe's frame as that of a file is (`make_file_grid`). An image whose
-    own matrix has moved since the first, as that of ``Image_Reference`` does, has its pose there.
-
-    Parameters
-    ----------
-    depth
-        Direction of the sound in L, as an anatomical letter.
-    window
-        See `GreyLevels`.
-    dynamic_range_db
-        dB from black to white; by default what a scanner of this package says, or else 60.
-
-    Raises
-    ------
-    ValueError
-        If one of them is not allowed.
+    A grid is placed in the probe's frame as that of a file is (`make_file_grid`), with the sound in
+    the direction ``depth`` of L. An image whose own matrix has moved since the first, as that of
+    ``Image_Reference`` does, has its pose there. See `GreyLevels` for the window; the dB from black
+    to white are by default what a scanner of this package says, or else 60. ValueError if one is
+    not allowed.
     """
 
     takes_frames = False

@@ -7,16 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonoservo.systems.files.memory import require_memory
-from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
-from sonoservo.systems.files.volume_file import HoldsFramesError, VolumeFile, check_layout
-from sonoservo.systems.recording.extras import require_extra
-from sonoservo.systems.recording.grey_levels import grey_or_colours
+from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures, require_extra
+from sonoservo.systems.files.volume_file import VolumeFile, check_layout, require_frames
+from sonoservo.systems.recording.grey_levels import as_frame, grey_or_colours
 from sonoservo.systems.recording.pose_table import read_pose_table
 
 _TISSUE = 1
-_CENTIMETRES = 3
-"""Codes of a region of 2D tissue, and of centimetres as its unit."""
-
+_CENTIMETRES = 3  # Codes of a region of 2D tissue, and of centimetres as its unit
 _GREY = ("MONOCHROME1", "MONOCHROME2")
 
 
@@ -38,11 +35,7 @@ def open_dicom(path: Path, *, frames: bool = False) -> VolumeFile:
     require_memory(size // 8, str(path), f"{rows} x {columns} pixels")
     if data.get("PhotometricInterpretation", "") == "PALETTE COLOR":
         raise ConfigurationError(f"{path}: PhotometricInterpretation: palettes are not supported")
-    if not frames:
-        raise HoldsFramesError(
-            f"{path}: {count} frames of DICOM are 2D frames; make volumes of them with "
-            "--reconstruct"
-        )
+    require_frames(path, frames, f"{count} frames of DICOM")
     fields = read_pose_table(path.with_suffix(".csv"), [str(k) for k in range(count)])
     left, top, right, bottom, spacing, note = _region(data, columns, rows)
     slope, shift = (
@@ -65,10 +58,7 @@ def open_dicom(path: Path, *, frames: bool = False) -> VolumeFile:
     check_layout(path, shape, count, np.eye(3), frames=True)
 
     def read(number: int) -> NDArray[Any]:
-        frame = numbers(number)
-        if frame.ndim == 3 and channels == 1:
-            frame = frame[..., 0]
-        return frame.reshape(*shape, *(() if channels == 1 else (channels,)))
+        return as_frame(numbers(number), channels)
 
     padding = data.get("PixelPaddingValue", None)
     directions = np.diag([*spacing, 1.0])

@@ -11,8 +11,8 @@ from sonoservo.systems.signals.immutable import Immutable
 from sonoservo.systems.signals.requirements import require
 
 _L, _P, _S = np.eye(3)
+# Direction of the sound in LPS: left, right, posterior (back), anterior (front), head, feet.
 _DEPTHS = {"L": _L, "R": -_L, "P": _P, "A": -_P, "S": _S, "I": -_S}
-"""Direction of the sound in LPS: left, right, posterior (back), anterior (front), head, feet."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,19 +22,8 @@ class FileGrid(Immutable):
     Y of P is the file's axis closest to the depth. X of P is, of the other two, the axis closest to
     L (to posterior if the depth is L or R). Z completes a right-handed frame. An array with
     left-handed or permuted axes is therefore only viewed differently, never resampled, and gives
-    the same volume in P however it is stored. The grid's orientation in space goes into the pose
-    X_LP.
-
-    Parameters
-    ----------
-    order
-        Numbers of the file's axes that become X, Y and Z.
-    flipped
-        Flags of the axes X, Y and Z that run backwards in the file.
-    origin, spacing
-        (3,) position of the volume's first voxel in P, and distances between voxels, in m.
-    X_LP
-        Pose of P in L, the file's own coordinates: LPS, but in m.
+    the same volume in P however it is stored. The grid's orientation goes into X_LP, the pose of P
+    in L: the file's own LPS, but in m. Origin and spacing are those in P, in m.
     """
 
     order: tuple[int, int, int]

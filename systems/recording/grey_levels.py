@@ -13,27 +13,16 @@ from sonoservo.systems.files.volume_file import VolumeFile
 from sonoservo.systems.signals.immutable import Immutable
 from sonoservo.systems.signals.requirements import require
 
-_MAX_NUMBER = 1e30
-"""Largest magnitude of a number in a file; single precision ends at 3e38."""
-
-_MIN_WIDTH = 1e-30
-"""Smallest width of a window."""
-
-_FAR = 1e4
-"""Distance of a window from zero, in widths, from which double precision is used."""
-
+_MAX_NUMBER = 1e30  # Largest magnitude of a number in a file; single precision ends at 3e38
+_MIN_WIDTH = 1e-30  # Smallest width of a window
+_FAR = 1e4  # Distance of a window from zero, in widths, from which double precision is used
+# Quantile of the numbers in the field of view that replaces a maximum far above it.
 _ALMOST_ALL = 0.999
-"""Quantile of the numbers in the field of view that replaces a maximum far above it."""
 
 
-_REMEMBERED = 8
-"""Number of volumes that share in the choice of a window."""
-
-_OTHER = 1.25
-"""Ratio of the widths of two windows from which they are not the same."""
-
-_LUMINANCE = np.array([0.299, 0.587, 0.114])
-"""Weights of red, green and blue (ITU-R BT.601)."""
+_REMEMBERED = 8  # Number of volumes that share in the choice of a window
+_OTHER = 1.25  # Ratio of the widths of two windows from which they are not the same
+_LUMINANCE = np.array([0.299, 0.587, 0.114])  # Weights of red, green and blue (ITU-R BT.601)
 
 
 def luminance(colours: NDArray[Any]) -> NDArray[Any]:
@@ -48,6 +37,12 @@ def grey_or_colours(pixels: NDArray[Any]) -> int:
         return 1
     grey = (pixels[..., :3] == pixels[..., :1]).all()
     return 1 if grey or pixels.shape[-1] <= 2 else int(pixels.shape[-1])
+
+
+def as_frame(pixels: NDArray[Any], channels: int) -> NDArray[Any]:
+    """Return an image of so many channels as a volume of one layer, colours along a last axis."""
+    layer = pixels[:, :, np.newaxis]
+    return layer[..., 0] if pixels.ndim == 3 and channels == 1 else layer
 
 
 def require_echoes(file: VolumeFile, colours: bool) -> None:
@@ -106,13 +101,7 @@ def _marks(numbers: NDArray[Any]) -> list[Any]:
 
 @dataclass(frozen=True)
 class GreyWindow(Immutable):
-    """Range of a file's numbers that becomes the grey levels 0 to 255; numbers beyond it saturate.
-
-    Parameters
-    ----------
-    low, high
-        Numbers that become 0 and 255.
-    """
+    """Numbers of a file that become the grey levels 0 and 255; what lies beyond them saturates."""
 
     low: float
     high: float
@@ -203,21 +192,10 @@ def window_of_first(volumes: Iterable[NDArray[Any]], enough: int) -> tuple[GreyW
 class GreyLevels:
     """Turns the numbers of a stream's volumes into grey levels, with one window for all of them.
 
-    The window holds what the last volumes that showed something ask for (`choose_window`). A volume
-    without any contrast chooses nothing, and is black. Unless it is `held`, the window follows when
-    a quarter more or less would do: the first volume may have been dim, or a test picture.
-
-    Parameters
-    ----------
-    window
-        Numbers that become 0 and 255; by default, the volumes choose them.
-
-    Attributes
-    ----------
-    held
-        True while something is tracked, whose echoes must not change by themselves.
-    window
-        Present window; None while no volume has shown anything.
+    Unless it is given, the window holds what the last volumes that showed something ask for
+    (`choose_window`), and is None before. A volume without any contrast chooses nothing, and is
+    black. Unless it is `held`, as while something is tracked, the window follows when a quarter
+    more or less would do: the first volume may have been dim, or a test picture.
     """
 
     def __init__(self, window: tuple[float, float] | None = None) -> None:

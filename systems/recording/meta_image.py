@@ -16,6 +16,8 @@ from sonoservo.systems.files.refusals import ConfigurationError, refusing_failur
 from sonoservo.systems.files.volume_file import (
     MAX_FILES,
     MAX_HEADER,
+    MAX_STEP,
+    MILLIMETRES,
     DataSection,
     DataSections,
     FieldUse,
@@ -23,6 +25,7 @@ from sonoservo.systems.files.volume_file import (
     check_layout,
     decode_header,
     existing_file,
+    joined,
     listed_files,
 )
 
@@ -42,9 +45,8 @@ _TYPES = {
 _ORIGIN = ("Offset", "Position", "Origin")
 _DIRECTIONS = ("TransformMatrix", "Rotation", "Orientation")
 _BIG_ENDIAN = ("BinaryDataByteOrderMSB", "ElementByteOrderMSB")
+# Alternative names of each field; the first one present counts.
 _SPACING = ("ElementSpacing", "ElementSize")
-"""Alternative names of each field; the first one present counts."""
-
 FIELDS = {
     **dict.fromkeys(
         (
@@ -67,11 +69,6 @@ FIELDS = {
     ),
 }  # fmt: skip
 """Fields of the format, and what becomes of them; those of PLUS are the `plus_fields`."""
-
-_MM = {"": 1.0, "?": 1.0, "mm": 1.0, "cm": 10.0, "um": 1e-3, "m": 1e3}
-
-_SLOWEST = 20.0
-"""Largest fourth spacing that is a time between volumes in s rather than in another unit."""
 
 
 def open_meta_image(path: Path, *, frames: bool = False) -> VolumeFile:
@@ -107,7 +104,7 @@ def _describe(
         )
     if not _flag(fields, ("BinaryData",), True):
         raise ConfigurationError(f"{path}: BinaryData: voxels stored as text are not supported")
-    unit = _MM.get(fields.get("DistanceUnits", "").strip('"').lower())
+    unit = MILLIMETRES.get(fields.get("DistanceUnits", "").strip('"').lower())
     if unit is None:
         raise ConfigurationError(
             f"{path}: DistanceUnits: {fields['DistanceUnits']!r} is not allowed; use mm, cm or um"
@@ -146,7 +143,7 @@ def _describe(
         if not any(name in fields for name in _ORIGIN):
             notes.append("it states no position; its first voxel is taken to lie at 0")
     times = None
-    if stated == 4 and not frames and 0 < steps[3] <= _SLOWEST and steps[3] != 1.0:
+    if stated == 4 and not frames and 0 < steps[3] <= MAX_STEP and steps[3] != 1.0:
         # PLUS states each volume's time instead, and leaves the spacing at 1.
         times = origin[3] + steps[3] * np.arange(count)
         if "Seq_Frame0000_Timestamp" not in fields:
@@ -253,4 +250,4 @@ def _open_data(
         first = max(file.stat().st_size - each, 0) if skip == "-1" else offset + int(skip)
         compression = "zlib" if compressed else ""
         sections.append(DataSection(file, first, each, compression=compression))
-    return sections[0] if len(sections) == 1 else DataSections(sections, each)
+    return joined(sections, each)

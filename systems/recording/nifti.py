@@ -10,15 +10,12 @@ from numpy.typing import NDArray
 from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
 from sonoservo.systems.files.volume_file import (
     MAX_DEFLATED,
+    MILLIMETRES,
+    SECONDS,
     VolumeFile,
     check_layout,
     require_voxels,
 )
-
-SUFFIXES = (".nii", ".nii.gz")
-
-_MM = {"mm": 1.0, "meter": 1e3, "micron": 1e-3, "unknown": 1.0}
-_SECONDS = {"sec": 1.0, "msec": 1e-3, "usec": 1e-6}
 
 
 def open_nifti(path: Path, *, frames: bool = False) -> VolumeFile:
@@ -37,9 +34,10 @@ def open_nifti(path: Path, *, frames: bool = False) -> VolumeFile:
                 f"{path}: dim: {list(sizes)} is not allowed; a volume has 3 axes, a sequence 4"
             )
         length, duration = header.get_xyzt_units()
-        if length not in _MM:
+        unit = "" if length == "unknown" else length
+        if unit not in MILLIMETRES:
             raise ConfigurationError(f"{path}: xyzt_units: {length!r} is not allowed")
-        ras = np.array([-1.0, -1.0, 1.0]) * _MM[length]
+        ras = np.array([-1.0, -1.0, 1.0]) * MILLIMETRES[unit]
         affine = np.array(image.affine, float)
         directions, origin = ras[:, np.newaxis] * affine[:3, :3], ras * affine[:3, 3]
         shape, count = sizes[:3], sizes[3] if len(sizes) == 4 else 1
@@ -51,8 +49,8 @@ def open_nifti(path: Path, *, frames: bool = False) -> VolumeFile:
             raise ConfigurationError(f"{path}: it is cut off: {size} bytes of voxels are announced")
         step = float(header.get_zooms()[3]) if len(sizes) == 4 else 0.0
         times = None
-        if duration in _SECONDS and step > 0:
-            times = _SECONDS[duration] * (float(header["toffset"]) + step * np.arange(count))
+        if duration in SECONDS and step > 0:
+            times = SECONDS[duration] * (float(header["toffset"]) + step * np.arange(count))
 
     def read(number: int) -> NDArray[Any]:
         with refusing_failures(path, "its voxels cannot be read"):

@@ -14,47 +14,20 @@ from sonoservo.systems.signals.volume import Volume
 
 
 def write_volume(path: str | Path, volume: Volume) -> Path:
-    """Write a volume as NRRD, compressed with gzip, in mm, in the space LPS.
+    """Write a volume as NRRD, compressed with gzip, in mm, in the space LPS; return the path.
 
     The axes of the probe frame P become the anatomical axes of the format, as if the probe stood
     upright on the front of a patient lying supine: X of P (along the array) becomes L (left), Y of
     P (depth) becomes P (posterior), and Z of P (the sweep) becomes S (superior, towards the head).
     The coordinates of a voxel are thus 1000 times its position in P. A field of the header holds
     the dB per grey level.
-
-    Parameters
-    ----------
-    path
-        Path of the file; the suffix is usually ``.nrrd``.
-    volume
-        Volume to write.
-
-    Returns
-    -------
-    Path of the file.
     """
     header = _header(volume) | {SCALE: repr(float(volume.decibels_per_level))}
     return write_atomically(path, _encode(volume.intensities, header, compression_level=1))
 
 
 def write_mask(path: str | Path, volume: Volume, mask: NDArray[np.bool_], name: str) -> Path:
-    """Write a mask as a 3D Slicer segmentation, on the grid of a volume.
-
-    Parameters
-    ----------
-    path
-        Path of the file; the suffix is ``.seg.nrrd``.
-    volume
-        Volume whose grid the mask shares.
-    mask
-        Mask of the volume's shape.
-    name
-        Name of the single segment.
-
-    Returns
-    -------
-    Path of the file.
-    """
+    """Write a mask on a volume's grid as a 3D Slicer segmentation with one segment."""
     last = [n - 1 for n in mask.shape]
     segment = {
         "ID": name,

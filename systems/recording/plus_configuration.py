@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
+from sonoservo.systems.files.volume_file import number_or_nan
 from sonoservo.systems.recording.valid_frames import read_matrix
 from sonoservo.systems.signals.immutable import Immutable
 
@@ -28,19 +29,10 @@ class KnownTransform(Immutable):
 class PlusConfiguration(Immutable):
     """What a device-set configuration says about images and their poses.
 
-    Parameters
-    ----------
-    transforms
-        Transforms by name, such as ``ImageToProbe``.
-    orientation
-        Orientation of the images that the port delivers, such as ``MF``; empty if not stated.
-    time_offset
-        Time in s by which the images' devices are set back against those of the trackers
-        (``LocalTimeOffsetSec``); PLUS has applied it to the times that it records and sends.
-    clip
-        First pixel and size, (i, j, ni, nj), of the part of a frame that shows tissue
-        (``ClipRectangleOrigin`` and ``ClipRectangleSize`` of the volume reconstruction); None if
-        not stated.
+    Transforms are by name, such as ``ImageToProbe``. `time_offset` is the time in s by which the
+    images' devices are set back against the trackers' (``LocalTimeOffsetSec``), which PLUS has
+    applied to what it records and sends. `clip` is first pixel and size, (i, j, ni, nj), of the
+    part of a frame that shows tissue (``ClipRectangleOrigin``, ``ClipRectangleSize``), if stated.
     """
 
     transforms: dict[str, KnownTransform] = field(default_factory=dict)
@@ -93,17 +85,10 @@ def read_plus_configuration(path: Path) -> PlusConfiguration:
         name = f"{start}To{end}"
         transforms[name] = KnownTransform(
             read_matrix(path, name, matrix),
-            _number(each.get("Error")),
+            number_or_nan(each.get("Error")),
             each.get("Date", "").strip(),
         )
     return PlusConfiguration(transforms, _orientation(root), _time_offset(root), _clip(root))
-
-
-def _number(text: str | None) -> float:
-    try:
-        return float(text) if text else np.nan
-    except ValueError:
-        return np.nan
 
 
 def _orientation(root: ET.Element) -> str:
@@ -135,7 +120,7 @@ def _time_offset(root: ET.Element) -> float:
     images: list[float] = []
     tools: list[float] = []
     for device in root.iter("Device"):
-        offset = _number(device.get("LocalTimeOffsetSec"))
+        offset = number_or_nan(device.get("LocalTimeOffsetSec"))
         if np.isnan(offset):
             continue
         kinds = {source.get("Type", "").lower() for source in device.iter("DataSource")}
@@ -151,7 +136,7 @@ def _only(offsets: Iterable[float]) -> float:
 def _numbers_of(line: str) -> list[str]:
     """Return the words of a line; none if it holds names alone."""
     words = line.replace(",", " ").replace(";", " ").split()
-    return [] if words and all(np.isnan(_number(each)) for each in words) else words
+    return [] if words and all(np.isnan(number_or_nan(each)) for each in words) else words
 
 
 def read_calibration(text: str) -> tuple[str, NDArray[np.float64]]:

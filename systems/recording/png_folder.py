@@ -6,10 +6,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.systems.files.refusals import ConfigurationError
-from sonoservo.systems.files.volume_file import HoldsFramesError, VolumeFile, check_layout
-from sonoservo.systems.recording.extras import require_extra
-from sonoservo.systems.recording.grey_levels import grey_or_colours
+from sonoservo.systems.files.refusals import ConfigurationError, require_extra
+from sonoservo.systems.files.volume_file import VolumeFile, check_layout, require_frames
+from sonoservo.systems.recording.grey_levels import as_frame, grey_or_colours
 from sonoservo.systems.recording.pose_table import read_pose_table
 
 TABLE = "poses.csv"
@@ -25,11 +24,7 @@ def open_png_folder(path: Path, *, frames: bool = False) -> VolumeFile:
     files = sorted(each for each in path.iterdir() if each.suffix.lower() == ".png")
     if not files:
         raise ConfigurationError(f"{path}: it is a folder without PNG images")
-    if not frames:
-        raise HoldsFramesError(
-            f"{path}: {len(files)} PNG images are 2D frames; make volumes of them with "
-            "--reconstruct"
-        )
+    require_frames(path, frames, f"{len(files)} PNG images")
     tables = sorted(path.glob("*.csv"))
     table = path / TABLE if path / TABLE in tables or len(tables) != 1 else tables[0]
     fields = read_pose_table(table, [each.name for each in files])
@@ -62,9 +57,7 @@ def open_png_folder(path: Path, *, frames: bool = False) -> VolumeFile:
             raise ConfigurationError(
                 f"{files[number]}: {here.shape} pixels; the first image has {shape}"
             )
-        if here.ndim == 3 and channels == 1:
-            here = here[..., 0]
-        return here.reshape(*size, *(() if channels == 1 else (channels,)))
+        return as_frame(here, channels)
 
     return VolumeFile(
         path, size, len(files), np.eye(3), np.zeros(3), read, None, fields, (), channels

@@ -10,7 +10,9 @@ from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RigidTransform
 
 from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
+from sonoservo.systems.files.volume_file import number_or_nan
 from sonoservo.systems.recording.transform_chain import ends_of
+from sonoservo.systems.recording.valid_frames import matrix_text
 
 _MOST_BYTES = 1 << 26
 _ELEMENT = re.compile(r"(?:(\w+To\w+?)_)?m?([0-3])([0-3])")
@@ -21,26 +23,14 @@ _NAMES = ("file", "filename", "image", "name")
 
 
 def read_pose_table(path: Path, files: Sequence[str]) -> dict[str, str]:
-    """Read a table with a row for each frame, as the fields that PLUS would write.
+    """Read a table with a row for each frame's file, as the fields that PLUS would write.
 
     The first row names the columns. ``file`` or ``frame`` (from 0) tells which frame a row belongs
-    to; without either, rows are in order. ``time`` is in s, ``time_ms`` in ms. A pose is
-    ``x, y, z`` in mm with the unit quaternion ``qw, qx, qy, qz``, or the elements ``m00`` to
-    ``m23`` of a matrix in mm. It is that of the probe in the reference (``ProbeToReference``),
-    unless the columns begin with another name, as ``ImageToReference_m00``. A row that is not
-    understood costs its frame.
-
-    Parameters
-    ----------
-    path
-        Path of the table.
-    files
-        Names of the frames' files, in order.
-
-    Raises
-    ------
-    ConfigurationError
-        If it is not valid; the message names the file and the fault.
+    to; without either, rows are in order. ``time`` is in s, ``time_ms`` in ms. A pose is ``x, y,
+    z`` in mm with the unit quaternion ``qw, qx, qy, qz``, or the elements ``m00`` to ``m23`` of a
+    matrix in mm. It is that of the probe in the reference (``ProbeToReference``), unless the
+    columns begin with another name, as ``ImageToReference_m00``. A row that is not understood costs
+    its frame.
     """
     if not path.is_file():
         raise ConfigurationError(f"{path}: there is no such table of poses")
@@ -61,7 +51,7 @@ def read_pose_table(path: Path, files: Sequence[str]) -> dict[str, str]:
             frame = f"Seq_Frame{number:04d}"
             for name, scale in _TIMES.items():
                 if name in row:
-                    fields[f"{frame}_Timestamp"] = repr(scale * _float(row[name]))
+                    fields[f"{frame}_Timestamp"] = repr(scale * number_or_nan(row[name]))
             for name, text in _matrices(path, row).items():
                 fields[f"{frame}_{name}Transform"] = text
         return fields
@@ -78,14 +68,6 @@ def _number(
     return int(row["frame"]) if row["frame"].isdecimal() else None
 
 
-def _float(text: str) -> float:
-    """Return a number; NaN if it is none."""
-    try:
-        return float(text)
-    except ValueError:
-        return np.nan
-
-
 def _matrices(path: Path, row: Mapping[str, str]) -> dict[str, str]:
     """Return the matrices of a row by name, as text; those with a missing number are left out."""
     found: dict[str, np.ndarray] = {}
@@ -98,7 +80,7 @@ def _matrices(path: Path, row: Mapping[str, str]) -> dict[str, str]:
         name = match[1] or _DEFAULT
         if ends_of(name) is None:
             raise ConfigurationError(f"{path}: column {key!r}: {name!r} names no transform")
-        number = _float(text)
+        number = number_or_nan(text)
         if element:
             matrix = found.setdefault(name, np.vstack([np.full((3, 4), np.nan), [0, 0, 0, 1]]))
             matrix[int(element[2]), int(element[3])] = number
@@ -113,7 +95,5 @@ def _matrices(path: Path, row: Mapping[str, str]) -> dict[str, str]:
             pose = RigidTransform(Quaternion(q / np.linalg.norm(q)), place)
             found[name] = pose.GetAsMatrix4()
     return {
-        name: " ".join(map(repr, matrix.ravel().tolist()))
-        for name, matrix in found.items()
-        if np.isfinite(matrix).all()
+        name: matrix_text(matrix) for name, matrix in found.items() if np.isfinite(matrix).all()
     }

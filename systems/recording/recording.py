@@ -32,14 +32,10 @@ from sonoservo.systems.signals.requirements import require_within
 from sonoservo.systems.signals.sweep import DECIBELS_PER_LEVEL, DYNAMIC_RANGE_DB
 from sonoservo.systems.signals.volume import Volume
 
-_VOLUME_RATES = 1e-3, 1e4
-"""Limits of the rate of volumes, in Hz."""
-
+_VOLUME_RATES = 1e-3, 1e4  # Limits of the rate of volumes, in Hz
+# Numbers of first volumes among which those are that choose the grey levels, and of these.
 _LOOKS, _ENOUGH = 16, 4
-"""Numbers of first volumes among which those are that choose the grey levels, and of these."""
-
-_ASKEW = 0.1
-"""Largest deviation of R^T R from the identity; 0.1 is a right angle that is 6 deg off."""
+_ASKEW = 0.1  # Largest deviation of R^T R from the identity; 0.1 is a right angle that is 6 deg off
 
 
 class Recording:

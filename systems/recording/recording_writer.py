@@ -13,6 +13,7 @@ from sonoservo.systems.recording.side_files import (
     describe_acquisition,
     describe_grid,
 )
+from sonoservo.systems.recording.valid_frames import matrix_text
 from sonoservo.systems.signals.sweep import Sweep
 from sonoservo.systems.signals.volume import Volume
 
@@ -68,7 +69,7 @@ class RecordingWriter:
         self._acquisition.append(describe_acquisition(volume))
         X_mm = volume.X_WP.GetAsMatrix4() * np.array([[1, 1, 1, 1e3]] * 3 + [[1] * 4])
         fields = {
-            "ProbeToReferenceTransform": " ".join(repr(float(x)) for x in X_mm.ravel()),
+            "ProbeToReferenceTransform": matrix_text(X_mm),
             "ProbeToReferenceTransformStatus": "OK",
             "Timestamp": repr(volume.time),
         }

@@ -8,8 +8,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.systems.files.claims import claim
-from sonoservo.systems.files.writing import naming, replacing, write_atomically
+from sonoservo.systems.files.writing import claim, naming, replacing, write_atomically
 
 SUFFIX = ".seq.nrrd"
 """Suffix by which 3D Slicer recognises a sequence."""
@@ -22,21 +21,9 @@ class SequenceWriter:
 
     The format's header precedes the data and holds the number of arrays. During writing, data and
     header are therefore separate files, ``NAME.partial.raw`` and ``NAME.partial.seq.nhdr``, and the
-    header is replaced after every array. If the program is interrupted, the files written so far
-    are a valid sequence. `close` joins them under the final name.
-
-    Parameters
-    ----------
-    path
-        Path of the file; the name ends in ``.seq.nrrd``.
-    header
-        Header fields, by name. A field with one entry per axis must include the entry of the list
-        axis, except ``sizes``, ``labels`` and ``units``, which are added here.
-
-    Raises
-    ------
-    IsADirectoryError
-        If the path is a folder.
+    header is replaced after every array: after an interruption they are a valid sequence. `close`
+    joins them under the final name. Fields of the header with one entry per axis include that of
+    the list axis, except ``sizes``, ``labels`` and ``units``, which are added here.
     """
 
     def __init__(self, path: Path, header: Mapping[str, str]) -> None:

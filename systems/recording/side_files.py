@@ -16,11 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform
 
-from sonoservo.systems.files.claims import claim
 from sonoservo.systems.files.memory import require_memory
 from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
 from sonoservo.systems.files.volume_file import MAX_POSITION
-from sonoservo.systems.files.writing import naming
+from sonoservo.systems.files.writing import claim, naming
 from sonoservo.systems.recording.sequence_writer import SUFFIX, partial_path
 from sonoservo.systems.recording.valid_frames import check_times, require_homogeneous
 from sonoservo.systems.signals.needle import Needle
@@ -40,18 +39,10 @@ ACQUISITION, TRUTH = ".acquisition.jsonl", ".truth.jsonl"
 FORMAT = 1
 """Format version of both files, stored in their first lines."""
 
-_MAX_POSITION = 1e-3 * MAX_POSITION
-"""Largest coordinate of a pose in m."""
-
-_RIGID = 1e-6
-"""Largest deviation of a rotation matrix from a rotation."""
-
-_MAX_SWEEP = 60.0
-"""Largest time between a frame and the time of its volume, in s."""
-
-_BYTES_PER_BYTE = 10
-"""Memory that a side file takes for each of its bytes."""
-
+_MAX_POSITION = 1e-3 * MAX_POSITION  # Largest coordinate of a pose in m
+_RIGID = 1e-6  # Largest deviation of a rotation matrix from a rotation
+_MAX_SWEEP = 60.0  # Largest time between a frame and the time of its volume, in s
+_BYTES_PER_BYTE = 10  # Memory that a side file takes for each of its bytes
 _RECORDINGS = (SUFFIX, ".seq.nhdr", ".nrrd", ".nhdr", ".mha", ".mhd")
 
 
@@ -65,17 +56,7 @@ def side_path(recording: Path, suffix: str) -> Path:
 
 
 class LinesWriter:
-    """Writes a JSON Lines file, which gets its final name when it is closed.
-
-    Parameters
-    ----------
-    recording
-        Path of the recording that the file belongs to.
-    suffix
-        Suffix of the file.
-    first
-        First line of the file; the format version is added.
-    """
+    """Writes a JSON Lines file beside a recording; its first line gets the format version."""
 
     def __init__(self, recording: Path, suffix: str, first: dict[str, Any]) -> None:
         self._path = side_path(recording, suffix)
@@ -140,24 +121,10 @@ def describe_acquisition(volume: Volume) -> dict[str, Any]:
 
 @dataclass(frozen=True, eq=False)
 class Acquisition:
-    """Exact times and poses of the acquisition of volumes.
+    """Exact times in s and poses X_WP of the acquisition of volumes, and a tracker's settings.
 
-    Parameters
-    ----------
-    origin, spacing
-        (3,) origin and voxel spacing of all volumes, in m.
-    times
-        Times of the volumes, in s.
-    poses
-        Pose X_WP of each volume.
-    motions
-        Motion of the probe during each volume; None if unknown.
-    decibels_per_level
-        dB per grey level of all volumes; None if the file does not contain it.
-    point_spread
-        Point spread of all volumes; None if the file does not contain it.
-    settings
-        Further entries of the first line.
+    Origin, spacing (m), dB per grey level and point spread are those of all volumes; the latter
+    two, and the motion of the probe during a volume, are None if the file does not contain them.
     """
 
     origin: NDArray[np.float64]
@@ -171,13 +138,7 @@ class Acquisition:
 
 
 def read_acquisition(path: Path) -> Acquisition:
-    """Read the acquisition of a recording.
-
-    Raises
-    ------
-    ConfigurationError
-        If the file is damaged, or has another format version.
-    """
+    """Read the acquisition of a recording; ConfigurationError if it is damaged."""
     with refusing_failures(path, "damaged"):
         acquisition = parse_acquisition(*_read_lines(path))
         check_times(path, np.array(acquisition.times), range(len(acquisition.times)))
@@ -249,11 +210,14 @@ class Truth:
         Part of the needle inside the tissue at each time, in W.
     contact_force
         (n,) contact force, in N.
+    poses
+        Pose X_WP of the probe at each time; None in older files.
     """
 
     times: NDArray[np.float64]
     needles: list[Needle]
     contact_force: NDArray[np.float64]
+    poses: list[RigidTransform] | None = None
 
     def at(self, time: float) -> int:
         """Return the number of the sample nearest to a time in s."""
@@ -261,13 +225,7 @@ class Truth:
 
 
 def read_truth(path: Path) -> Truth:
-    """Read the ground truth of a recording.
-
-    Raises
-    ------
-    ConfigurationError
-        If the file is damaged, or has another format version.
-    """
+    """Read the ground truth of a recording; ConfigurationError if it is damaged."""
     with refusing_failures(path, "damaged"):
         first, lines = _read_lines(path)
         require(len(lines) > 0, "samples", 0, "at least 1")
@@ -275,7 +233,11 @@ def read_truth(path: Path) -> Truth:
         check_times(path, times, range(len(times)), "sample")
         radius, force = first["needle_radius"], [line["contact_force"] for line in lines]
         require_within("needle_radius", radius, 1e-5, 1e-2)
-        return Truth(times, [_needle(line["needle"], radius) for line in lines], _forces(force))
+        needles = [_needle(line["needle"], radius) for line in lines]
+        poses = None
+        if "X_WP" in lines[0]:
+            poses = [RigidTransform(_poses(line["X_WP"])) for line in lines]
+        return Truth(times, needles, _forces(force), poses)
 
 
 def _needle(points: Any, radius: float) -> Needle:

@@ -20,50 +20,21 @@ from sonoservo.systems.recording.grey_levels import (
 from sonoservo.systems.recording.transform_chain import TransformChain, find_chain
 from sonoservo.systems.recording.valid_frames import choose_items, frame_times
 
+# Numbers of first frames among which those are that choose the grey levels, and of these.
 _LOOKS, _ENOUGH = 128, 32
-"""Numbers of first frames among which those are that choose the grey levels, and of these."""
 
 
 class TrackedFrames:
     """2D frames with poses and times, read on demand, one at a time.
 
-    Parameters
-    ----------
-    path
-        Path of the file.
-    poses
-        Transforms that give the pose, or ends of their chain (`find_chain`). A chain that begins at
-        the image maps pixels; others map mm in the frame.
-    window
-        Numbers that become the grey levels 0 and 255; by default `choose_window` of the first
-        frames that show something.
-    frame_rate
-        Frames per second, in Hz, for a file without times.
-    transforms, orientation, void, luminance
-        See `Recording`.
-    clip
-        First pixel and size, (i, j, ni, nj), of the part of a frame that shows tissue; None takes
-        all of it.
+    See `Recording` for the arguments it shares. A chain of ``poses`` that begins at the image maps
+    pixels, others mm in the frame. ``clip`` is first pixel and size, (i, j, ni, nj), of the part of
+    a frame that shows tissue. ConfigurationError if the file is not valid.
 
-    Attributes
-    ----------
-    times
-        (n,) times of the frames, in s.
-    X_WI
-        (n, 4, 4) transforms from pixels (i, j, 0, 1) to W, in m; W is the reference frame.
-    skipped
-        Number of frames left out: marked as invalid, or without a pose or a time in order.
-    void
-        Numbers of the frames read so far that hold nothing, such as NaN alone.
-    notes
-        What a person should know about how the file was read, each a sentence.
-    numbers
-        (n,) numbers of the frames in the file.
-
-    Raises
-    ------
-    ConfigurationError
-        If the file is not valid; the message names the file and the fault.
+    `times` are (n,), in s, and `numbers` those of the frames in the file; X_WI is (n, 4, 4), from
+    pixels (i, j, 0, 1) to W, in m: the reference frame. `skipped` counts frames left out: marked as
+    invalid, or without a pose or a time in order. `void` has the numbers of those read so far that
+    hold nothing. Each of the `notes` is a sentence on how the file was read.
     """
 
     def __init__(

@@ -14,17 +14,14 @@ from sonoservo.systems.signals.immutable import Immutable
 
 _NAME = re.compile(r"([A-Z]\w*?)To([A-Z]\w*?)(?:Transform)?")
 
+# Frames of the picture: pixels or voxels, and mm on the sensor of the probe.
 _MOVING = ("Image", "Probe")
-"""Frames of the picture: pixels or voxels, and mm on the sensor of the probe."""
-
+# Frames that stand still, the preferred ones first.
 _FIXED = ("Reference", "World", "Tracker", "TrackerBase", "Ras", "RAS", "Phantom", "Base")
-"""Frames that stand still, the preferred ones first."""
-
+# Tools that move by themselves: no chain may end at one or pass it.
 _TOOL = re.compile(r"(Stylus|Needle|Cautery|Pointer|Tool|Scalpel|Trocar|Guide)\w*")
-"""Tools that move by themselves: no chain may end at one or pass it."""
-
+# Frames of the probe and of the picture: no chain may end at one.
 _PART = re.compile(r"(Image|Probe|Transducer|Plane|Pixel)\w*")
-"""Frames of the probe and of the picture: no chain may end at one."""
 
 
 @dataclass(frozen=True)

@@ -6,14 +6,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
-from sonoservo.systems.files.volume_file import HoldsFramesError, VolumeFile, check_layout
-from sonoservo.systems.recording.extras import require_extra
+from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures, require_extra
+from sonoservo.systems.files.volume_file import VolumeFile, check_layout, require_frames
 from sonoservo.systems.recording.plus_configuration import read_calibration
+from sonoservo.systems.recording.valid_frames import matrix_text
 
-_RATE = 20.0
-"""Frames per second at which all of them were recorded, in Hz."""
-
+_RATE = 20.0  # Frames per second at which all of them were recorded, in Hz
 _CALIBRATION = "calib_matrix.csv"
 
 
@@ -28,23 +26,20 @@ def open_tus_rec(path: Path, *, frames: bool = False) -> VolumeFile:
         file = h5py.File(path, "r")
         pictures = file["frames"]
         count, rows, columns = pictures.shape
-        if not frames:
-            raise HoldsFramesError(
-                f"{path}: {count} frames are 2D frames; make volumes of them with --reconstruct"
-            )
+        require_frames(path, frames, f"{count} frames")
         check_layout(path, (columns, rows, 1), count, np.eye(3), frames=True)
         tforms = np.asarray(_tforms(h5py, file, path), float)
         if tforms.shape != (count, 4, 4):
             raise ConfigurationError(f"{path}: tforms: {tforms.shape} for {count} frames")
         fields = {
-            f"Seq_Frame{k:04d}_ProbeToTrackerTransform": _text(matrix)
+            f"Seq_Frame{k:04d}_ProbeToTrackerTransform": matrix_text(matrix)
             for k, matrix in enumerate(tforms)
         }
         notes = [f"its frames are taken to be {1 / _RATE:g} s apart, as the data set says"]
         calibration = next((p / _CALIBRATION for p in list(path.absolute().parents)[:4]
                             if (p / _CALIBRATION).is_file()), None)  # fmt: skip
         if calibration is not None:
-            matrix = _text(read_calibration(str(calibration))[1])
+            matrix = matrix_text(read_calibration(str(calibration))[1])
             fields |= {f"Seq_Frame{k:04d}_ImageToProbeTransform": matrix for k in range(count)}
             notes.append(f"the calibration is that of {calibration.name}")
 
@@ -66,7 +61,3 @@ def _tforms(h5py: Any, file: Any, path: Path) -> Any:
         raise ConfigurationError(f"{path}: it holds frames, but no transforms (tforms)")
     with h5py.File(beside, "r") as other:
         return other["tforms"][()]
-
-
-def _text(matrix: NDArray[np.float64]) -> str:
-    return " ".join(map(repr, np.asarray(matrix, float).ravel().tolist()))

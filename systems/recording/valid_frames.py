@@ -2,7 +2,6 @@
 
 from bisect import bisect_right
 from collections.abc import Iterable, Mapping
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,15 +9,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sonoservo.systems.files.refusals import ConfigurationError
-from sonoservo.systems.files.volume_file import MAX_POSITION
+from sonoservo.systems.files.volume_file import MAX_POSITION, number_or_nan
 from sonoservo.systems.recording.transform_chain import TransformChain
 from sonoservo.systems.signals.immutable import Immutable
 
 MAX_TIME = 1e11
 """Largest time in s; the seconds since 1970 are a hundredth of it."""
 
-_MIN_STEP = 1e-6
-"""Smallest time between two volumes or frames, in s."""
+_MIN_STEP = 1e-6  # Smallest time between two volumes or frames, in s
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,8 +120,7 @@ def frame_times(count: int, stamps: Mapping[int, str]) -> NDArray[np.float64]:
     times = np.full(count, np.nan)
     for k, stamp in stamps.items():
         if k < count:
-            with suppress(ValueError):
-                times[k] = float(stamp)
+            times[k] = number_or_nan(stamp)
     return times
 
 
@@ -157,6 +154,11 @@ def read_matrix(path: Path, name: str, text: str) -> NDArray[np.float64]:
             f"with positions within +-{MAX_POSITION:g} mm"
         ) from error
     return matrix
+
+
+def matrix_text(matrix: ArrayLike) -> str:
+    """Return a matrix as PLUS writes it, exactly: `read_matrix` gives it back."""
+    return " ".join(map(repr, np.asarray(matrix, float).ravel().tolist()))
 
 
 def require_homogeneous(matrix: ArrayLike, max_position: float) -> None:

@@ -59,12 +59,14 @@ class VolumeRecorder(LeafSystem):
         - volume
         - sweep (optional)
         - X_WT (optional)
+        - true_X_WP (optional)
         - needle (optional)
         - contact_force (optional)
 
     `volume` and `sweep` hold a `Volume` and a `Sweep`, or a `NotFound`. The truth is the true
     `Needle` in T, the pose `X_WT` of T and the contact force in N; its file is written only if all
-    three are connected. Call `close` at the end: it gives the files their final names.
+    three are connected, with the probe's true pose, if that is. Call `close` at the end: it gives
+    the files their final names.
 
     The recording of a run is kept in its context. A new run closes the recording of the previous
     run and replaces it under the same name. Continuing a run whose recording is closed raises a
@@ -111,7 +113,8 @@ class VolumeRecorder(LeafSystem):
             {self.nothing_ticket()},
         )
         declare_inputs(self, volume=(Volume, NotFound), sweep=(Sweep, NotFound), needle=Needle)
-        self.DeclareAbstractInputPort("X_WT", Value(RigidTransform()))
+        for name in ("X_WT", "true_X_WP"):
+            self.DeclareAbstractInputPort(name, Value(RigidTransform()))
         self.DeclareVectorInputPort("contact_force", 1)
         self.DeclareInitializationPublishEvent(self._start)
         self.DeclarePeriodicPublishEvent(period, offset, self._record)
@@ -166,6 +169,8 @@ class VolumeRecorder(LeafSystem):
         if recording.truth is None:
             recording.truth = LinesWriter(self._path, TRUTH, {"needle_radius": needle.radius})
         shaft = needle.transformed(X_WT).shaft
-        recording.truth.append(
-            {"time": context.get_time(), "needle": shaft.tolist(), "contact_force": force}
-        )
+        line = {"time": context.get_time(), "needle": shaft.tolist(), "contact_force": force}
+        if self.GetInputPort("true_X_WP").HasValue(context):
+            X_WP = evaluate(self, context, "true_X_WP", RigidTransform)
+            line["X_WP"] = X_WP.GetAsMatrix4().tolist()
+        recording.truth.append(line)

@@ -6,17 +6,17 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
-from sonoservo.systems.files.volume_file import SCALE, HoldsFramesError, VolumeFile, check_layout
-from sonoservo.systems.recording.extras import require_extra
+from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures, require_extra
+from sonoservo.systems.files.volume_file import SCALE, VolumeFile, check_layout, require_frames
+from sonoservo.systems.recording.valid_frames import matrix_text
 from sonoservo.systems.signals.volume import Volume
 
 SUFFIXES = (".hdf5", ".h5")
 
 _MAPS = ("image_sc", "image")
 _RAW = ("raw_data", "aligned_data", "beamformed_data", "envelope_data")
+# Order of the places of the first and last pixels, in m; z is the depth, y the elevation.
 _EXTENT = ("xmin", "xmax", "ymin", "ymax", "zmax", "zmin")
-"""Order of the places of the first and last pixels, in m; z is the depth, y the elevation."""
 
 
 def open_zea(path: Path, *, frames: bool = False) -> VolumeFile:
@@ -32,10 +32,8 @@ def open_zea(path: Path, *, frames: bool = False) -> VolumeFile:
         pixels, extent = _pixels(path, file["data"])
         count, nx, nz = pixels.shape[:3]
         flat = pixels.ndim == 3
-        if flat and not frames:
-            raise HoldsFramesError(
-                f"{path}: {count} images are 2D frames; make volumes of them with --reconstruct"
-            )
+        if flat:
+            require_frames(path, frames, f"{count} images")
         shape = (nx, nz, 1 if flat else pixels.shape[3])
         steps, origin, notes = np.ones(3), np.zeros(3), []
         if extent is None:
@@ -99,8 +97,7 @@ def _poses(file: Any, count: int) -> tuple[dict[str, str], NDArray[np.float64] |
         matrices = np.asarray(metadata["probe_pose"]["samples"][()], float).reshape(-1, 4, 4)
         for k, matrix in enumerate(matrices[:count]):
             matrix[:3, 3] *= 1e3
-            text = " ".join(map(repr, matrix.ravel().tolist()))
-            fields[f"Seq_Frame{k:04d}_ProbeToReferenceTransform"] = text
+            fields[f"Seq_Frame{k:04d}_ProbeToReferenceTransform"] = matrix_text(matrix)
     if SCALE in file.attrs:
         fields[SCALE] = repr(float(file.attrs[SCALE]))
     return fields, times

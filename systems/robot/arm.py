@@ -21,14 +21,13 @@ from pydrake.multibody.tree import (
 from sonoservo.systems.files.model_file import model_file, read_once
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.typed_yaml import load_typed, read_yaml
-from sonoservo.systems.robot.directives import add_directives, resolve_files
-from sonoservo.systems.robot.motors import motors
+from sonoservo.systems.robot.directives import add_directives, motors, resolve_files
 from sonoservo.systems.robot.probe_body import AddProbeBody, ProbeBody
-from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
+from sonoservo.systems.signals.requirements import Bounded, NotNegative, Positive, require
 
 
 @dataclass(kw_only=True)
-class JointServo:
+class JointServo(Bounded):
     """Gains of the joint servos, in the order of the joints.
 
     Parameters
@@ -39,17 +38,12 @@ class JointServo:
         Dampings in N m s/rad.
     """
 
-    p: list[float] = field(default_factory=list)
-    d: list[float] = field(default_factory=list)
-
-    def __post_init__(self) -> None:
-        for number, (p, d) in enumerate(zip(self.p, self.d, strict=False)):
-            require_positive(**{f"p.{number}": p})
-            require_not_negative(**{f"d.{number}": d})
+    p: list[Positive] = field(default_factory=list)
+    d: list[NotNegative] = field(default_factory=list)
 
 
 @dataclass(kw_only=True)
-class Arm:
+class Arm(Bounded):
     """Description of an arm in a YAML file; `load_arm` reads one.
 
     Parameters
@@ -77,11 +71,7 @@ class Arm:
     flange: str = "flange"
     servo: JointServo = field(default_factory=JointServo)
     max_speed: list[float] = field(default_factory=list)
-    torque_error: list[float] = field(default_factory=list)
-
-    def __post_init__(self) -> None:
-        for number, error in enumerate(self.torque_error):
-            require_positive(**{f"torque_error.{number}": error})
+    torque_error: list[Positive] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -105,19 +95,9 @@ class ArmWithProbe:
 
 
 def load_arm(name: str) -> Arm:
-    """Read an arm from YAML and check it.
+    """Read an arm from YAML by its name in ``models/robots``, or by a path, and check it.
 
-    Parameters
-    ----------
-    name
-        Name of a file in ``models/robots`` ("viper_s850"), or a path.
-
-    Raises
-    ------
-    ConfigurationError
-        If the file does not describe an arm; the message names the file and the field.
-    FileNotFoundError
-        If there is no such file.
+    A ConfigurationError names the file and the field; FileNotFoundError if there is no such file.
     """
     return _read_arm(model_file("robots", name))
 
@@ -240,12 +220,7 @@ def set_servo_gains(arm: ArmWithProbe, servo: JointServo) -> None:
 def MakeArmPlant(arm: Arm, body: ProbeBody, X_PC: RigidTransform | None = None) -> ArmWithProbe:
     """Return an arm and its probe in a finalized plant of their own, for kinematics.
 
-    Parameters
-    ----------
-    arm, body
-        The arm and the body of its probe.
-    X_PC
-        Pose of the calibrated probe frame in the true one; by default they are the same.
+    X_PC is the pose of the calibrated probe frame in the true one; by default they are the same.
     """
     plant = MultibodyPlant(time_step=0)
     placed = AddArmWithProbe(plant, arm, body)

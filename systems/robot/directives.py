@@ -1,4 +1,4 @@
-"""Drake model directives, with errors that name the directive."""
+"""Drake model directives, with errors that name the directive, and the motors of a model."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -10,11 +10,13 @@ from pydrake.multibody.parsing import (
     ProcessModelDirectives,
 )
 from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import JointActuator, ModelInstanceIndex
 
 from sonoservo.models import model_path
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.robot.stl_meshes import without_stl
 
+# Kinds of directives and their required fields, without which Drake aborts the process.
 _WANTED = {
     "add_model": ("file", "name"),
     "add_model_instance": ("name",),
@@ -23,7 +25,6 @@ _WANTED = {
     "add_collision_filter_group": ("name",),
     "add_directives": ("file",),
 }
-"""Kinds of directives and their required fields, without which Drake aborts the process."""
 
 
 def resolve_files(
@@ -75,3 +76,10 @@ def add_directives(
         ProcessModelDirectives(ModelDirectives(directives=directives), parser)
     except RuntimeError as error:
         raise ValueError(f"directives: {' '.join(str(error).split())}") from error
+
+
+def motors(plant: MultibodyPlant, instance: ModelInstanceIndex) -> list[JointActuator]:
+    """Return the motors of a model's joints, in the order of their commands."""
+    # Before it is finalized, a plant can list all its actuators but not those of one model.
+    every = [plant.get_joint_actuator(index) for index in plant.GetJointActuatorIndices()]
+    return [motor for motor in every if motor.model_instance() == instance]

@@ -17,8 +17,8 @@ from sonoservo.systems.robot.phantom_motion import (
 )
 from sonoservo.systems.signals.immutable import Immutable
 
+# Highest mean speeds along x, y, z in m/s, and in roll, pitch and yaw in deg/s.
 _SPEED = (0.04, 0.04, 0.015, 30.0, 30.0, 30.0)
-"""Highest mean speeds along x, y, z in m/s, and in roll, pitch and yaw in deg/s."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,7 +26,7 @@ from pydrake.trajectories import Trajectory
 from sonoservo.models import model_path
 from sonoservo.systems.files.model_file import model_file, read_once, read_section
 from sonoservo.systems.files.typed_yaml import load_typed
-from sonoservo.systems.robot.motors import motors
+from sonoservo.systems.robot.directives import motors
 from sonoservo.systems.signals.body_surface import BodySurface
 from sonoservo.systems.signals.requirements import (
     Bounded,
@@ -34,11 +34,9 @@ from sonoservo.systems.signals.requirements import (
     Positive,
 )
 
-_TRAY, _POST = 0.006, 0.1
-"""Heights of the tray and the post on which the phantom stands, in m."""
-
+_TRAY, _POST = 0.006, 0.1  # Heights of the tray and the post on which the phantom stands, in m
+# Edge in m of the triangles of a curved body; the surface of 60 mm radius is true to 0.2 mm.
 _RESOLUTION = 0.01
-"""Edge in m of the triangles of a curved body; the surface of 60 mm radius is true to 0.2 mm."""
 
 
 # Drake treats these gains implicitly, so stiffness costs no stability. The stage is ideal, because

@@ -44,26 +44,10 @@ def probe_pose(
 def solve_posture(
     arm: ArmWithProbe, X_WP: RigidTransform, near: NDArray[np.float64] | None = None
 ) -> NDArray[np.float64]:
-    """Return joint positions that put the probe at a pose, within the arm's limits.
+    """Return (n,) joint positions in rad that put the probe at a pose, within the arm's limits.
 
-    Parameters
-    ----------
-    arm
-        Arm and its probe, in a plant of their own.
-    X_WP
-        Wanted pose of the probe.
-    near
-        (n,) joint positions to stay near, in rad; the arm's home posture by default. An arm with
-        more than six joints takes the nearest of the postures that reach the pose.
-
-    Returns
-    -------
-    (n,) joint positions in rad.
-
-    Raises
-    ------
-    ValueError
-        If the arm cannot reach the pose.
+    They stay near others, by default the home posture. An arm with more than six joints takes the
+    nearest of the postures that reach the pose. ValueError if the arm cannot reach it.
     """
     near = arm.home if near is None else near
     result = _solve(arm, X_WP, near, start=near)

@@ -12,7 +12,7 @@ from sonoservo.systems.display.console.console import Console
 from sonoservo.systems.display.console.controls import controller_controls, operator_controls
 from sonoservo.systems.display.console.history import Frame
 from sonoservo.systems.display.console.readings import Reading, Sample
-from sonoservo.systems.display.console.shape_feed import PATHS, ShapeFeed
+from sonoservo.systems.display.console.shape_page import PATHS, ShapePage
 from sonoservo.systems.display.console.slices import SlicePicture, slice_pictures
 from sonoservo.systems.display.pages.site import Site
 from sonoservo.systems.signals.needle_curve import NeedleCurve
@@ -351,7 +351,7 @@ def test_the_end_links_the_report_and_leaves_the_page_usable(open_page, console,
 
 
 def test_a_shape_prediction_has_a_slice_charts_and_figures_of_its_own(open_page, console):
-    feed = ShapeFeed(console=console, depth=0.1, period=1.0)
+    ShapePage(console=console, depth=0.1).start()
     path = {name: [0.0, 1.0, 4.0] for name in PATHS} | {"depth": [0.0, 50.0, 100.0]}
     seen = {"found_depth": [0.0, 50.0], "found_x": [0.1, 0.9], "found_y": [0.0, 1.1],
             "true_depth": [0.0, 50.0], "true_x": [0.0, 1.0], "true_y": [0.0, 1.0]}  # fmt: skip
@@ -374,7 +374,6 @@ def test_a_shape_prediction_has_a_slice_charts_and_figures_of_its_own(open_page,
     assert page.evaluate(f"{model}.renderers.map(each => each.data_source.data.depth.length)") == [
         3, 3, 2, 2
     ]  # fmt: skip
-    del feed
 
 
 def check_equal(first, second):

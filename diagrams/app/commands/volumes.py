@@ -30,8 +30,6 @@ from sonoservo.systems.files.refusals import ConfigurationError
 
 if TYPE_CHECKING:
     from sonoservo.diagrams.app.volumes.opening import Opened
-
-if TYPE_CHECKING:
     from sonoservo.systems.signals.needle_estimate import NeedleEstimate
 
 
@@ -90,16 +88,12 @@ def track_command(
     shown = pages.console if pages else None
     if live:
         reading.refuse_for_streams()
-        if log is not None:
-            raise ConfigurationError(
-                "--log: not possible with live volumes; record them (sonoservo bridge), and track "
-                "the recording with --log"
-            )
-        if explain:
-            raise ConfigurationError(
-                "explain: not possible with live volumes; record them (sonoservo bridge), "
-                "and track the recording with --explain"
-            )
+        for option, given in (("--log", log), ("--explain", explain)):
+            if given:
+                raise ConfigurationError(
+                    f"{option}: not possible with live volumes; record them (sonoservo bridge), "
+                    f"and track the recording with {option}"
+                )
         with console.status("waiting for the first volume") as status:
             summary, folder, finding = track_address(
                 source,

@@ -131,19 +131,10 @@ class Comparison:
 
 
 def compare(folders: Sequence[str | Path], out: str | Path | None = None) -> Comparison:
-    """Compare kept runs of one experiment.
+    """Compare two or more kept runs of one experiment.
 
-    Parameters
-    ----------
-    folders
-        Folders of the runs, at least two.
-    out
-        Folder for report.html and comparison.json; None writes nothing.
-
-    Raises
-    ------
-    ConfigurationError
-        If a folder is not that of a run, or the runs are not of one experiment.
+    The folder ``out``, if given, gets report.html and comparison.json. ConfigurationError if a
+    folder is not that of a run, or the runs are not of one experiment.
     """
     if isinstance(folders, str | Path):
         raise ConfigurationError(f"folders: {str(folders)!r} is one path; expected a list of them")

@@ -22,23 +22,12 @@ from sonoservo.systems.evaluation.run_errors import estimate_errors
 from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.files.refusals import ConfigurationError
 
-_TOLERANCE = 1.0
-"""Time in s before the first and after the last kept volume that is still accepted."""
+_TOLERANCE = 1.0  # Time in s before the first and after the last kept volume that is still accepted
 
 
 @dataclass(frozen=True, eq=False)
 class ExplainedRun:
-    """Explained volumes of a run.
-
-    Parameters
-    ----------
-    folder
-        Folder of the run.
-    kept
-        Kept volumes in order of time; at least one.
-    log
-        Log of the run, which contains the truth; None if there is none.
-    """
+    """Explained volumes of a run in order of time, at least one, and the run's log, if any."""
 
     folder: Path
     kept: list[ExplainedVolume]
@@ -92,18 +81,7 @@ class ExplainedRun:
 
 
 def read_explained_run(folder: Path) -> ExplainedRun:
-    """Read the explained volumes of a run.
-
-    Parameters
-    ----------
-    folder
-        Folder of the run.
-
-    Raises
-    ------
-    ConfigurationError
-        If there is no such folder, or it has no kept volumes; the message says what to do.
-    """
+    """Read the explained volumes of a run; a ConfigurationError says what to do without any."""
     if not folder.is_dir():
         raise ConfigurationError(
             f"there is no folder {folder}; make it: sonoservo run SCENARIO --explain --out {folder}"

@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 from matplotlib.figure import Figure
@@ -27,14 +26,12 @@ from sonoservo.systems.evaluation.reports.track_plots import write_pictures
 from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
 from sonoservo.systems.files.writing import Unwritten, write_atomically, write_json
 
-_SAVE_EVERY = 10.0
-"""Wall-clock time in s after which the log is saved again during a run."""
-
+_SAVE_EVERY = 10.0  # Wall-clock time in s after which the log is saved again during a run
 PICTURES = "slices.npz"
 """File with the slices through the needle of every volume."""
 
+# Results that do not stay beside those of a newer run.
 _RESULTS = ("summary.json", "log.npz", PICTURES, "report.html", "replay.html")
-"""Results that do not stay beside those of a newer run."""
 
 
 @contextmanager
@@ -52,32 +49,10 @@ def refusing(scenario: Scenario) -> Iterator[None]:
 class KeptRun:
     """A run that writes its scenario at the start, its log in any case, and its results at the end.
 
-    It is a context manager around the simulation. Inside it, the clock runs. An interruption from
-    the keyboard, or a recording that cannot be written, ends the simulation but not the program.
-
-    Parameters
-    ----------
-    scenario
-        Scenario of the run.
-    write_log
-        Function that writes the log so far to a path.
-    out
-        Folder of all files; None writes nothing.
-    meshcat
-        Meshcat that draws the run, if any; its recording becomes the replay.
-    movie
-        File for a movie of the run, if any.
-
-    Attributes
-    ----------
-    scenario
-        Scenario of the run.
-    out
-        Folder of all files, or None.
-    interrupted
-        Whether the simulation was interrupted.
-    unwritten
-        Errors of files that could not be written.
+    It is a context manager around the simulation, in which its clock runs. An interruption from the
+    keyboard, or a recording that cannot be written, ends the simulation but not the program.
+    `write_log` writes the log so far to a path; without ``out``, no file is written. `unwritten`
+    collects the errors of files.
     """
 
     def __init__(
@@ -108,12 +83,7 @@ class KeptRun:
         self.begin()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> bool:
+    def __exit__(self, kind: object, error: object, traceback: object) -> bool:
         self._wall = self._clock() - self._started
         self._clock.__exit__()
         self.interrupted = kind is KeyboardInterrupt

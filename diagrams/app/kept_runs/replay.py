@@ -9,16 +9,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from pydrake.math import RigidTransform
 
 from sonoservo.diagrams.app.kept_runs.compare import KeptResults, read_kept_results
 from sonoservo.diagrams.app.kept_runs.kept_run import PICTURES
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
 from sonoservo.diagrams.scenario import require_scenario
 from sonoservo.systems.control.controller_schedule import ControllerSchedule
-from sonoservo.systems.control.visual_features import needle_features
 from sonoservo.systems.display.console.controls import Control
 from sonoservo.systems.display.console.history import MINUTE, Frame
-from sonoservo.systems.display.console.readings import Sample
+from sonoservo.systems.display.console.readings import Sample, needle_place
 from sonoservo.systems.display.console.slices import SlicePicture, kept_slice
 from sonoservo.systems.evaluation.reports.track_plots import VolumePictures, read_pictures
 from sonoservo.systems.evaluation.run_errors import at_times
@@ -30,32 +30,15 @@ from sonoservo.systems.signals.planes import Plane
 if TYPE_CHECKING:
     from sonoservo.systems.display.console.console import Console
 
-_SAMPLING = 1 / 8
-"""Time between samples of the strips, in s."""
-
-_LOOK = 1 / 16
-"""Time between two looks at the console, in s."""
-
-_FASTEST = 8.0
-"""Speed of a replay as fast as possible, as a multiple of real time."""
-
-_DECIBELS = 60.0
-"""Dynamic range of the kept pictures, in dB, unless the run's log says otherwise."""
+_SAMPLING = 1 / 8  # Time between samples of the strips, in s
+_LOOK = 1 / 16  # Time between two looks at the console, in s
+_FASTEST = 8.0  # Speed of a replay as fast as possible, as a multiple of real time
+_DECIBELS = 60.0  # Dynamic range of the kept pictures, in dB, unless the run's log says otherwise
 
 
 @dataclass(frozen=True, eq=False)
 class Replay:
-    """What the console shows of a kept run.
-
-    Parameters
-    ----------
-    title
-        Title of the console.
-    samples
-        Samples of the strips, in order of time.
-    frames
-        Slices of the volumes, in order of time.
-    """
+    """What the console shows of a kept run: its title, samples and frames, in order of time."""
 
     title: str
     samples: Sequence[Sample]
@@ -135,18 +118,7 @@ class Replay:
 
 
 def read_replay(folder: str | Path) -> Replay:
-    """Read what the console shows of a run in which the robot follows a needle.
-
-    Parameters
-    ----------
-    folder
-        Folder of the run.
-
-    Raises
-    ------
-    ConfigurationError
-        If it is not the folder of such a run, or a file of it cannot be read.
-    """
+    """Read a run in which the robot follows a needle; ConfigurationError if it is none."""
     folder = Path(folder)
     kept = read_kept_results(folder)
     if not isinstance(kept.log, RunLog):
@@ -180,21 +152,16 @@ def log_samples(log: RunLog, settings: ControllerSchedule) -> list[Sample]:
             detection = str(log.volume_detection_reason[seen])
             reason = detection if searching else str(log.volume_measurement_reason[seen])
         acts = str(log.guard_state[row]) not in ("", GuardState.MONITORING)
+        tip, place = log.estimate_tip[row], {}
+        if np.isfinite(tip).all():
+            X_WP = RigidTransform(log.measured_X_WP[row])
+            place = needle_place(log.estimate_entry[row], tip, X_WP)
         sample = Sample(
             time=now, mode=str(log.estimate_mode[row]), force=float(log.contact_force[row]),
             target=settings.at(now).force, error=float(error[row]), reason=reason,
             inserted=1e3 * float(log.inserted_length[row]), held=str(log.hold_reason[row]),
-            stopped=str(log.guard_reason[row]) if acts else "",
+            stopped=str(log.guard_reason[row]) if acts else "", **place,
         )  # fmt: skip
-        if np.isfinite(log.estimate_tip[row]).all():
-            ends = np.stack([log.estimate_entry[row], log.estimate_tip[row]], axis=1)
-            pose = log.measured_X_WP[row]
-            entry, tip = (pose[:3, :3].T @ (ends - pose[:3, 3:])).T
-            x, z, theta = needle_features(tip, tip - entry).tolist()
-            depth = 1e3 * float(tip[1])
-            sample = replace(
-                sample, x=1e3 * x, z=1e3 * z, theta=math.degrees(theta), depth=depth
-            )  # fmt: skip
         samples.append(sample)
     return samples
 

@@ -9,7 +9,7 @@ from sonoservo.diagrams.app.live.serve import opened
 from sonoservo.diagrams.app.live.track_live import live_volumes
 from sonoservo.diagrams.app.options import LiveLimits, ReadingFrames
 from sonoservo.diagrams.app.volumes.check import brief_finding, brief_stream_finding
-from sonoservo.diagrams.app.volumes.opening import Opened, live_maker, open_volumes
+from sonoservo.diagrams.app.volumes.opening import Opened, live_source, open_volumes
 from sonoservo.systems.live.connection.link import Link
 from sonoservo.systems.live.connection.protocols import parse_address
 from sonoservo.systems.live.feeds import IMAGE, volume_items
@@ -133,18 +133,7 @@ def record_address(
 ) -> dict[str, Any]:
     """Record what comes from an address to a file; see `record_live`."""
     reading.refuse_for_streams()
-    place = parse_address(address)
-    source = LiveSource(
-        place,
-        maker=live_maker(reading),
-        poses=reading.poses,
-        keep=QUEUE,
-        clock_offset=reading.clock_offset,
-        report=say,
-    )
-    with source as live:
-        if place.listens:
-            say(f"Waiting for a scanner on port {live.link.port}; Ctrl-C ends")
+    with live_source(parse_address(address), reading, say, keep=QUEUE) as live:
         summary = record_live(live, path, limits=limits, say=say)
         if line := brief_stream_finding(live):
             say(line)

@@ -32,8 +32,7 @@ from sonoservo.systems.ultrasound.transducer import load_transducer
 
 _NAMED = ("tip", "curve", "status", "covariance")
 
-_POLL = 0.05
-"""Time in s between two checks of the number of peers."""
+_POLL = 0.05  # Time in s between two checks of the number of peers
 
 
 def live_senders(

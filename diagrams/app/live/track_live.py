@@ -17,7 +17,7 @@ from sonoservo.diagrams.app.options import LiveLimits, ReadingFrames, Sending, T
 from sonoservo.diagrams.app.volumes.calibrate import pose_error_figures
 from sonoservo.diagrams.app.volumes.check import brief_stream_finding
 from sonoservo.diagrams.app.volumes.estimates_table import EstimatesTable, ModeCount, estimate_row
-from sonoservo.diagrams.app.volumes.opening import live_maker
+from sonoservo.diagrams.app.volumes.opening import live_source
 from sonoservo.diagrams.needle_tracker import MakeNeedleTracker
 from sonoservo.diagrams.tracker_bench import Sample, Sink, Tracked, TrackerBench
 from sonoservo.diagrams.trackers.tracker_parts import TrackerParameters
@@ -32,11 +32,8 @@ from sonoservo.systems.signals.volume import Volume
 if TYPE_CHECKING:
     from sonoservo.systems.display.console.console import Console
 
-_LOOK = 0.25
-"""Time in s between two checks of the limits."""
-
-_TIMED = 20_000
-"""Maximum number of volumes whose delays enter the summary."""
+_LOOK = 0.25  # Time in s between two checks of the limits
+_TIMED = 20_000  # Maximum number of volumes whose delays enter the summary
 
 
 def live_volumes(source: LiveSource, limits: LiveLimits, say: Callable[[str], None] = print) -> Any:
@@ -194,22 +191,13 @@ def track_address(
     """
     place = parse_address(address)
     folder = out or Path("out") / f"{place.file_name}_track"
-    source = LiveSource(
-        place,
-        maker=live_maker(reading),
-        poses=reading.poses,
-        clock_offset=reading.clock_offset,
-        report=say,
-    )
     names = needle_names(sending.names or [], points=sending.points)
     with ExitStack() as stack:
+        source = stack.enter_context(live_source(place, reading, say))
         outlets = []
         for each in sending.serve or []:
             own = str(parse_address(each)) == str(place)
             outlets.append(source.link if own else stack.enter_context(opened(each, say)))
-        stack.enter_context(source)
-        if place.listens:
-            say(f"Waiting for a scanner on port {source.link.port}; Ctrl-C ends")
         summary = track_live(
             source,
             parameters=parameters,

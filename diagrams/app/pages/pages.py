@@ -1,6 +1,5 @@
 """The pages of a command: the site, the console and the world on it."""
 
-import logging
 import os
 import sys
 import webbrowser
@@ -22,17 +21,7 @@ _REPLAY = "replay.html"
 
 @dataclass(frozen=True, kw_only=True)
 class Pages:
-    """Pages of a command.
-
-    Parameters
-    ----------
-    site
-        Site that serves them.
-    console
-        Console of the run.
-    meshcat
-        Meshcat that draws the world, if Drake's does.
-    """
+    """Site of a command, its console, and the Meshcat that draws the world, if Drake's does."""
 
     site: Site
     console: Console
@@ -66,30 +55,11 @@ def open_pages(
 ) -> Pages:
     """Open the pages of a command on the first free port from 7000 on, and print the address.
 
-    Parameters
-    ----------
-    terminal
-        Terminal of the command.
-    title
-        Title of the console.
-    host
-        Address to listen on; ``*`` for all addresses of this machine.
-    world
-        Whether Drake's Meshcat draws the world; otherwise the console draws a view of the probe.
-    kept
-        Folder of a kept run whose replay.html takes the place of the world, and whose report is
-        linked.
-    by_itself
-        Whether to open the console in the browser, if there is a desktop and a person at the
-        terminal.
-
-    Raises
-    ------
-    ConfigurationError
-        If it cannot listen there.
+    Without a ``world``, the console draws a view of the probe; a folder ``kept`` has the
+    replay.html that takes the world's place. The console opens in the browser ``by_itself`` if a
+    person with a desktop sits at the terminal. ConfigurationError if it cannot listen there.
     """
     site = open_site(host)
-    logging.getLogger("drake").addFilter(_is_news)
     meshcat = open_meshcat(site) if world and kept is None else None
     shown: str | None = "world" if world else ""
     if kept is not None:
@@ -130,13 +100,3 @@ def has_desktop() -> bool:
     if sys.platform in ("darwin", "win32"):
         return True
     return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
-
-
-def _is_news(record: logging.LogRecord) -> bool:
-    """Return False for Drake's log records that tell a user nothing new.
-
-    A slow page asks for pictures that newer ones have replaced, and gets these next. Nothing is
-    wrong, and a line for each would break the progress bar. The page's address is printed anyway.
-    """
-    text = record.getMessage()
-    return "Unknown CAS key" not in text and "listening for connections" not in text

@@ -44,32 +44,18 @@ from sonoservo.systems.recording.plus_configuration import read_plus_configurati
 from sonoservo.systems.recording.recording import Recording
 from sonoservo.systems.signals.volume import Volume
 
+# Most volumes, and sweeps of frames, from which errors of the poses are estimated.
 _CALIBRATED, _SWEEPS = 30, 4
-"""Most volumes, and sweeps of frames, from which errors of the poses are estimated."""
-
+# Most images that are kept of a stream, and most devices that are told apart.
 _KEPT, _DEVICES = 24, 32
-"""Most images that are kept of a stream, and most devices that are told apart."""
-
-_ERROR_MM = 2.0
-"""Error of a calibration in mm that shows in a needle's place."""
-
+_ERROR_MM = 2.0  # Error of a calibration in mm that shows in a needle's place
 _LETTERS = ("LR", "PA", "SI")
 _SECONDS = 5.0
 
 
 @dataclass
 class CheckedSource:
-    """Findings about a source.
-
-    Parameters
-    ----------
-    source
-        Path or address.
-    findings
-        What was found.
-    picture
-        Picture that marks the probe's side and "up"; None if nothing could be shown.
-    """
+    """Findings about a path or address, and a picture that marks the probe's side, if any."""
 
     source: str
     findings: list[Finding] = field(default_factory=list)
@@ -309,10 +295,7 @@ def check_stream(
     patience: float = 30.0,
     say: Callable[[str], None] = print,
 ) -> CheckedSource:
-    """Check what comes over a live connection.
-
-    It waits ``patience`` s for the first message, and listens ``seconds`` s after it.
-    """
+    """Check what comes over a connection for so many s after the first message."""
     reading = reading or Reading()
     checked = CheckedSource(str(address))
     record = _StreamRecord(address, reading.poses, reading.clock_offset)

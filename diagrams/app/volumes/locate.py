@@ -93,10 +93,7 @@ def locate_in(
     seed: int = 0,
     parameters: NeedleLocalizerParameters | None = None,
 ) -> LocatedNeedle | NotFound:
-    """Locate the needle in a `Volume`, in W; see `locate`.
-
-    ``parameters`` are those of the localizer.
-    """
+    """Locate the needle in a `Volume`, in W, with the localizer's parameters; see `locate`."""
     require(order in (2, 3), "order", order, "2 or 3")
     anywhere = NeedlePrediction(order, volume.time, everywhere=True)
     explained = explain_localization(

@@ -1,13 +1,16 @@
 """Opening of recorded and live volumes, as the options of a command say."""
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeAlias
 
 from sonoservo.diagrams.app.options import Reading, ReadingFrames
 from sonoservo.diagrams.app.volumes.reconstruct import ReconstructedRecording
 from sonoservo.systems.files.refusals import ConfigurationError
+from sonoservo.systems.live.connection.protocols import Address
 from sonoservo.systems.live.frames_to_volumes import FramesToVolumes
-from sonoservo.systems.live.live_source import ImagesToVolumes
+from sonoservo.systems.live.live_source import ImagesToVolumes, LiveSource
 from sonoservo.systems.live.motor_sweep import MotorSweepVolumes, load_motor_sweep
 from sonoservo.systems.live.volume_maker import VolumeMaker
 from sonoservo.systems.recording.plus_configuration import (
@@ -53,6 +56,24 @@ def open_volumes(path: Path, reading: Reading | None = None) -> Opened:
         opened = Recording(path, depth=options.depth, volume_rate=options.volume_rate, **common)
     opened.notes[:0] = known.notes()
     return opened
+
+
+@contextmanager
+def live_source(
+    place: Address, reading: ReadingFrames, say: Callable[[str], None], keep: int = 1
+) -> Iterator[LiveSource]:
+    """Open the source of live volumes at an address; see `LiveSource` for ``keep``."""
+    with LiveSource(
+        place,
+        maker=live_maker(reading),
+        poses=reading.poses,
+        keep=keep,
+        clock_offset=reading.clock_offset,
+        report=say,
+    ) as source:
+        if place.listens:
+            say(f"Waiting for a scanner on port {source.link.port}; Ctrl-C ends")
+        yield source
 
 
 def live_maker(reading: ReadingFrames) -> ImagesToVolumes:

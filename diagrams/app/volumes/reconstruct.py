@@ -24,25 +24,9 @@ from sonoservo.systems.ultrasound.frame_reconstruction import (
 class ReconstructedRecording:
     """Volumes of a file of 2D frames, one for each sweep, with the interface of `Recording`.
 
-    The file's own frame L and the world frame W are both the reference frame of its poses.
-
-    Parameters
-    ----------
-    path
-        Path of the file.
-    poses, window, frame_rate, reading
-        See `TrackedFrames`; ``reading`` holds its other arguments by name.
-    dynamic_range_db
-        Range of echo amplitudes from black to white, in dB; 60 by default.
-    frames
-        Number of frames per volume; by default, a volume ends where the probe turns back.
-    spacing
-        Distance between the voxels, in m.
-
-    Raises
-    ------
-    ConfigurationError
-        If the file is not valid; the message names the file and the fault.
+    L and W are both the reference frame of the file's poses. A volume has so many ``frames``, or
+    ends where the probe turns back; its spacing is in m. ``reading`` holds other arguments of
+    `TrackedFrames`, whose errors it raises.
     """
 
     def __init__(

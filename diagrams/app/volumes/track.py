@@ -19,21 +19,25 @@ from sonoservo.diagrams.needle_tracker import MakeNeedleTracker
 from sonoservo.diagrams.tracker_bench import Sample, Sink, Tracked, TrackerBench
 from sonoservo.diagrams.trackers.registry import TRACKERS
 from sonoservo.diagrams.trackers.tracker_parts import STARTS, TrackerParameters
+from sonoservo.systems.display.console.readings import tip_error
 from sonoservo.systems.evaluation.explanation.explained_volume import clear_explanations
+from sonoservo.systems.evaluation.log import columns
 from sonoservo.systems.evaluation.metrics import summarize
 from sonoservo.systems.evaluation.reports.track_plots import VolumePictures, picture_planes
-from sonoservo.systems.files.claims import claim_folder
+from sonoservo.systems.evaluation.run_log import RunLog
+from sonoservo.systems.evaluation.run_logger import visible_length
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.typed_yaml import suggest
-from sonoservo.systems.files.writing import Unwritten
+from sonoservo.systems.files.writing import Unwritten, claim_folder
 from sonoservo.systems.recording.side_files import TRUTH, Truth, read_truth, side_path
+from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
+from sonoservo.systems.signals.volume import Volume
 
 if TYPE_CHECKING:
     from sonoservo.systems.display.console.console import Console
 
-_PICTURES = 6
-"""Number of volumes of a recording that the report shows."""
+_PICTURES = 6  # Number of volumes of a recording that the report shows
 
 
 def tracker_parameters(
@@ -44,24 +48,11 @@ def tracker_parameters(
     beam_width: float | None = None,
     echo_offset: float | None = None,
 ) -> TrackerParameters:
-    """Return the parameters of a tracker for recordings.
+    """Return the parameters of one of the `TRACKERS` for recordings, or a ConfigurationError.
 
-    Parameters
-    ----------
-    tracker
-        Kind of one of the `TRACKERS`.
-    order
-        Order of the curve: 2 for a straight needle, 3 for a bent one.
-    start
-        "search" to find the needle when it is pushed in; "anywhere" to localize it in the whole
-        volume from the first volume on, without seeing the insertion.
-    beam_width, echo_offset
-        Values that the user knows, in m; see `NeedleLocalizerParameters.knowing`.
-
-    Raises
-    ------
-    ConfigurationError
-        If a value is not allowed; the message names it.
+    The order is 2 for a straight needle, 3 for a bent one. "search" finds a needle that is pushed
+    in, "anywhere" one in the whole volume, from the first on. The widths that the user knows are in
+    m.
     """
     trackers = {each.kind: each for each in TRACKERS}
     if tracker not in trackers:
@@ -132,6 +123,7 @@ def track_recording(
     truth = read_truth(truth_path) if truth_path.is_file() else None
     motion = recording[0].motion
     times: list[float] = []
+    in_view: list[float] = []
     estimates: list[NeedleEstimate] = []
     rows: list[dict[str, Any]] = []
     pictures: list[VolumePictures] = []
@@ -140,6 +132,7 @@ def track_recording(
 
     def note(tracked: Tracked) -> None:
         times.append(tracked.volume.time)
+        in_view.append(length_in_view(tracked.volume, tracked.estimate))
         estimates.append(tracked.estimate)
         rows.append(estimate_row(tracked, posed=recording.posed))
         if tracked.number in pictured:
@@ -162,7 +155,8 @@ def track_recording(
             explain=out if explain else None,
         )
         started = time.perf_counter()
-        ended = bench.run(_samples(recording, truth, real_time and console is None), sinks)
+        beside = _Truth(truth, bench) if truth is not None else None
+        ended = bench.run(_samples(recording, beside, real_time and console is None), sinks)
         summary = {
             "scenario": recording.path.name,
             "version": version("sonoservo"),
@@ -173,20 +167,62 @@ def track_recording(
             "truth": truth is not None,
             **modes.figures(),
         }
-        log = bench.log()
+        log = bench.log() if beside is None else beside.log()
         figures = summarize(log)
         kept = ("detection", "tracking", "compute_ms") if truth else ("compute_ms",)
         summary |= {name: figures[name] for name in kept}
         if correct_poses:
             summary["pose_errors"] = pose_error_figures(bench.evaluate("pose_errors"))
         unwritten = Unwritten()
-        result = TrackedRecording(estimates, rows, summary, log, times=times, pictures=pictures)
+        result = TrackedRecording(
+            estimates, rows, summary, log, times=times, in_view=in_view, pictures=pictures
+        )
         if out is not None:
             result.write(out, command, unwritten)
     return replace(result, failure=unwritten.failure)
 
 
-def _samples(recording: Opened, truth: Truth | None, real_time: bool) -> Iterator[Sample]:
+def length_in_view(volume: Volume, estimate: NeedleEstimate) -> float:
+    """Return the length in m of the estimated needle that a volume shows; NaN without one."""
+    if estimate.curve is None:
+        return float("nan")
+    points = volume.to_probe(estimate.curve.position(np.linspace(0, 1, 101)))
+    if volume.motion is not None:
+        return visible_length(Needle(points, 1e-3), volume.motion.geometry)
+    return float(estimate.curve.chord * volume.sees(points).mean())
+
+
+class _Truth:
+    """Truth beside a recording, which goes to the log at its own times, as that of a run does."""
+
+    def __init__(self, truth: Truth, bench: TrackerBench) -> None:
+        self._truth, self._bench = truth, bench
+        self._next = 0
+
+    def log_until(self, time: float) -> None:
+        """Log the truth since the last call up to a time in s."""
+        truth, first = self._truth, self._next
+        self._next = int(np.searchsorted(truth.times, time))
+        for number in range(first, self._next):
+            observed: dict[str, Any] = {
+                "X_WT": RigidTransform(),
+                "needle": truth.needles[number],
+                "contact_force": [truth.contact_force[number]],
+            }
+            if truth.poses is not None:
+                observed["true_X_WP"] = truth.poses[number]
+            self._bench.observe(float(truth.times[number]), observed)
+
+    def log(self) -> RunLog:
+        """Return the bench's log with the samples of the truth, without those at volumes."""
+        self.log_until(np.inf)
+        log = self._bench.log()
+        known = np.isin(log.time, self._truth.times)
+        samples = (name for name, each in columns(RunLog).items() if each.shape[:1] == ("n",))
+        return replace(log, **{name: getattr(log, name)[known] for name in samples})
+
+
+def _samples(recording: Opened, truth: "_Truth | None", real_time: bool) -> Iterator[Sample]:
     """Yield the volumes of a recording with the truth beside it, at its own pace if so wished."""
     started = time.perf_counter()
     for number in range(len(recording)):
@@ -196,15 +232,9 @@ def _samples(recording: Opened, truth: Truth | None, real_time: bool) -> Iterato
         if real_time:
             ahead = recording.times[number] - recording.times[0] - (read - started)
             time.sleep(max(0.0, ahead))
-        observed: dict[str, Any] = {}
         if truth is not None:
-            sample = truth.at(volume.time)
-            observed = {
-                "X_WT": RigidTransform(),
-                "needle": truth.needles[sample],
-                "contact_force": [truth.contact_force[sample]],
-            }
-        yield Sample(volume, recording.X_WL(number), observed, read - began)
+            truth.log_until(volume.time)
+        yield Sample(volume, recording.X_WL(number), read_s=read - began)
 
 
 def _shown(console: "Console", truth: Truth | None, real_time: bool) -> Sink:
@@ -215,10 +245,12 @@ def _shown(console: "Console", truth: Truth | None, real_time: bool) -> Sink:
         volume, estimate, true = tracked.volume, tracked.estimate, {}
         if truth is not None:
             sample = truth.at(volume.time)
-            needle, error = truth.needles[sample], np.nan
-            if needle and estimate.curve is not None:
-                error = 1e3 * float(np.linalg.norm(estimate.curve.tip - needle.tip))
-            true = {"error": error, "force": float(truth.contact_force[sample])}
+            around = range(max(sample - 9, 0), min(sample + 10, len(truth.times)))
+            tips = [(truth.times[k], truth.needles[k].tip) for k in around if truth.needles[k]]
+            true = {
+                "error": tip_error(estimate, tips),
+                "force": float(truth.contact_force[sample]),
+            }
         console.show(volume, estimate, tracked.number + 1, **true)
         pacer.wait(volume.time)
 

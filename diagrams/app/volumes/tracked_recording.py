@@ -32,22 +32,10 @@ from sonoservo.systems.signals.needle_estimate import NeedleEstimate
 class TrackedRecording:
     """Results of tracking in a recording.
 
-    Parameters
-    ----------
-    estimates
-        Estimate after each volume, in W.
-    rows
-        Rows of ``estimates.csv``: the estimates in the file's own coordinates, LPS in mm.
-    summary
-        Figures, as in summary.json.
-    log
-        Log like that of a run; its truth is the one beside the recording, if there is one.
-    times
-        Times of the volumes, in s.
-    pictures
-        Pictures of some volumes.
-    failure
-        Error of the first file that could not be written; None if all were.
+    `estimates` are in W, `times` in s and lengths of the needle `in_view` in m, one for each
+    volume; `rows` are those of ``estimates.csv``, in the file's own LPS in mm; `summary` has the
+    figures of summary.json. The log is like that of a run, with the truth beside the recording, if
+    any. `failure` is the error of the first file that could not be written.
     """
 
     estimates: list[NeedleEstimate]
@@ -55,6 +43,7 @@ class TrackedRecording:
     summary: dict[str, Any]
     log: RunLog
     times: Sequence[float] = ()
+    in_view: Sequence[float] = ()
     pictures: Sequence[VolumePictures] = field(default=(), repr=False)
     failure: OSError | None = None
 
@@ -63,7 +52,7 @@ class TrackedRecording:
         if not self.rows:
             return {}
         p_LTip = 1e-3 * np.array([[row[f"tip_{axis}_mm"] for axis in "lps"] for row in self.rows])
-        tip = plot_tip(np.array(self.times), self.estimates, p_LTip.reshape(-1, 3))
+        tip = plot_tip(np.array(self.times), self.estimates, p_LTip, np.array(self.in_view))
         plots = {
             "planes.png": (PLANES_CAPTION, plot_planes(list(self.pictures))),
             "tip.png": (TIP_CAPTION, tip),

@@ -21,9 +21,8 @@ from sonoservo.diagrams.studies.runs import run_cases
 from sonoservo.diagrams.studies.study import Case, Executor, Outcome, WithFiles
 from sonoservo.systems.evaluation.run_errors import features
 from sonoservo.systems.evaluation.run_log import RunLog
-from sonoservo.systems.files.refusals import ConfigurationError
+from sonoservo.systems.files.refusals import ConfigurationError, require_extra
 from sonoservo.systems.files.writing import write_atomically, write_json
-from sonoservo.systems.recording.extras import require_extra
 from sonoservo.systems.signals.needle_estimate import TrackingMode
 from sonoservo.systems.signals.volume import Volume
 

@@ -3,5 +3,4 @@ from .console_feed import ConsoleFeed as ConsoleFeed
 from .controls import Control as Control
 from .operator_panel import OperatorPanel as OperatorPanel
 from .readings import Sample as Sample
-from .shape_feed import ShapeFeed as ShapeFeed
 from .slices import slice_views as slice_views

@@ -2,12 +2,14 @@
 
 import gc
 import time as clock
-from collections.abc import Callable, Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from html import escape
 from typing import TYPE_CHECKING, Any
 
 from sonoservo.systems.display.console.controls import Controls, finite_number
 from sonoservo.systems.display.console.history import Cine, Frame, Strips
+from sonoservo.systems.display.console.probe_view import ProbeView
 from sonoservo.systems.display.console.readings import (
     Sample,
     describe_state,
@@ -26,13 +28,10 @@ Shown = tuple[Volume, NeedleEstimate | None, int, LineHypotheses | None]
 if TYPE_CHECKING:
     from bokeh.document import Document
 
-    from sonoservo.systems.display.console.probe_page import ProbePage
 
-_PERIOD = 0.2
-"""Shortest time between two updates of a page, in s."""
-
+_PERIOD = 0.2  # Shortest time between two updates of a page, in s
+# Time in s after which a page that does not say what it has drawn is sent something again.
 _PATIENCE = 10.0
-"""Time in s after which a page that does not say what it has drawn is sent something again."""
 
 
 class Console:
@@ -82,7 +81,8 @@ class Console:
         self._views: set[_View] = set()
         self.strips, self.cine = Strips(), Cine()
         self.controls = Controls(self._wake)
-        self._probe = _open_probe(self._site, self._wake) if probe else None
+        self._probe = ProbeView(self._site) if probe else None
+        self._probed: Volume | None = None
         open_bokeh_page(self._site, page="console", title="Console", make=self._open)
 
     @property
@@ -132,13 +132,10 @@ class Console:
     def say(self, **facts: Any) -> None:
         """Show facts about the run.
 
-        Parameters
-        ----------
-        facts
-            ``paused``; ``pace``, ``note`` and ``ended`` in words; address of the ``report``; the
-            ``legend`` of the world; and the parts of the page that it goes ``without``: world,
-            slices, the second one, planes, cine, strips and readings, and each of these by name.
-            ``seek`` is the time in s to which a recorded world is wound.
+        They are ``paused``; ``pace``, ``note`` and ``ended`` in words; address of the ``report``;
+        ``legend`` of the world; parts of the page that it goes ``without``: world, slices, the
+        second one, planes, cine, strips, readings, and each of these by name; ``seek``, the time in
+        s to which a recorded world is wound.
         """
         if any(self._facts.get(name) != value for name, value in facts.items()):
             self._facts = self._facts | facts
@@ -181,13 +178,18 @@ class Console:
         view = _View(self, document)
         self._views.add(view)
         document.on_session_destroyed(lambda context: self._views.discard(view))
+        self._wake()
 
     def _wake(self) -> None:
         self._site.call(self._update)
 
     def _update(self) -> None:
-        if self._probe is not None and isinstance(self._newest, tuple):
-            self._probe.show(*self._newest[:2])
+        if self._probe is not None and self._views and isinstance(self._newest, tuple):
+            volume, estimate, *_ = self._newest
+            if volume is not self._probed:
+                self._probed = volume
+                with collecting_nothing():
+                    self._probe.show(volume, estimate)
         for view in self._views:
             view.wake()
 
@@ -246,15 +248,8 @@ class _View:
         self._push()
 
     def _push(self) -> None:
-        # Drake aborts if a Meshcat is destroyed on a thread other than its own, so garbage must not
-        # be collected on this thread.
-        collects = gc.isenabled()
-        gc.disable()
-        try:
+        with collecting_nothing():
             self._send()
-        finally:
-            if collects:
-                gc.enable()
 
     def _send(self) -> None:
         console, page = self._console, self._page
@@ -329,10 +324,16 @@ class _View:
         self.wake()
 
 
-def _open_probe(site: Site, asked: Callable[[], None]) -> "ProbePage":
-    from sonoservo.systems.display.console.probe_page import ProbePage
-
-    return ProbePage(site, asked)
+@contextmanager
+def collecting_nothing() -> Iterator[None]:
+    """Keep garbage: Drake aborts if a Meshcat of another thread is destroyed on the site's."""
+    collects = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if collects:
+            gc.enable()
 
 
 def picture_volume(

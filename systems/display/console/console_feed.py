@@ -23,11 +23,8 @@ if TYPE_CHECKING:  # a run without a page does not import it
 
 T = TypeVar("T")
 
-_SAMPLING = 1 / 8
-"""Time between samples of the strips, in s."""
-
-_TIPS = 64
-"""Number of samples of the true tip that estimates are compared with."""
+_SAMPLING = 1 / 8  # Time between samples of the strips, in s
+_TIPS = 64  # Number of samples of the true tip that estimates are compared with
 
 
 class ConsoleFeed(LeafSystem):

@@ -6,9 +6,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-_DEAD_ZONE = 0.15
-"""Dead zone of a gamepad's sticks, which never rest exactly at zero."""
-
+_DEAD_ZONE = 0.15  # Dead zone of a gamepad's sticks, which never rest exactly at zero
 _DEG = math.radians(1)
 
 SPEEDS = (0.25, 0.5, 1.0, 2.0, 0.0)
@@ -19,27 +17,10 @@ SPEEDS = (0.25, 0.5, 1.0, 2.0, 0.0)
 class Control:
     """A slider, its keys, and the gamepad axis that also moves it.
 
-    Parameters
-    ----------
-    name
-        Name of the slider, unique on a page.
-    port
-        Output port of the value. The values of a port are in the order of the controls.
-    label, unit_label
-        Label in the page, and unit of the number beside it.
-    unit
-        Value of 1 on the slider, in SI units.
-    least, most, step
-        Range and step of the slider.
-    start
-        Initial value of the slider.
-    keys
-        Keys that lower and raise the slider by a step, as the browser names them.
-    ends
-        What these keys do, in words; by default, the label with a sign.
-    axis, rate
-        Axis of the gamepad, and the slider's speed at full deflection, in slider units per s. The
-        rate is negative if up or left raises the value.
+    The values of a `port` are in the order of the controls; `unit` is a slider's 1 in SI units.
+    `keys` lower and raise it by a step, which `ends` say in words, by default the label with a
+    sign. `rate` is its speed at the axis's full deflection, in slider units per s, negative if up
+    or left raises it.
     """
 
     name: str

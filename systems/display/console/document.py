@@ -47,12 +47,9 @@ LINE_COLOURS = {
 
 _DASHES = {"tracking": "solid", "coasting": "dashed", "lost": "dotted"}
 _HEARD: Mapping[str, Any] = {"order": {}, "drawn": -1}
-_LONGEST = 0.5
-"""Longest time before a sample for which its mode is drawn, in s."""
-
-_RING = 2.5
-"""Radius of the ring at the tip, in mm."""
-
+_LONGEST = 0.5  # Longest time before a sample for which its mode is drawn, in s
+_RING = 2.5  # Radius of the ring at the tip, in mm
+# Name, axis, lines (column, colour and label) and smallest range of each strip; None is 0 to 1.
 _LINES: Sequence[tuple[str, str, Sequence[tuple[str, str, str]], float | None]] = (
     ("features", "X, Z (mm)", (("x", _FIRST, "X"), ("z", _SECOND, "Z")), 2.0),
     ("angle", "Theta (°)", (("theta", _FIRST, ""),), 4.0),
@@ -60,13 +57,10 @@ _LINES: Sequence[tuple[str, str, Sequence[tuple[str, str, str]], float | None]] 
     ("error", "error (mm)", (("error", _FIRST, ""),), 0.5),
     ("probability", "P(needle)", (("probability", _FIRST, ""),), None),
 )
-"""Name, axis, lines (column, colour and label) and smallest range of each strip; None is 0 to 1."""
-
 CHARTS = {"chart_x": "x", "chart_y": "y"}
 """Charts of the deflection along an axis over the depth."""
 
-_SCRIPTS = ("console.js", "controls.js", "views.js")
-"""Scripts of the page, which share one scope."""
+_SCRIPTS = ("console.js", "controls.js", "views.js")  # Scripts of the page, which share one scope
 
 
 class Link:

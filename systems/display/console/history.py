@@ -19,7 +19,7 @@ STRIPS = ("time", "x", "z", "theta", "force", "target", "error", "probability", 
 class Frame:
     """Pictures of one volume, with its number, time in s and tracking mode (or nothing).
 
-    A slice that misses the volume is None. `paths` are the columns of the charts of `ShapeFeed`, in
+    A slice that misses the volume is None. `paths` are the columns of the charts of `ShapePage`, in
     mm.
     """
 

@@ -20,16 +20,7 @@ class OperatorPanel(LeafSystem):
 
     The outputs are in SI units. Every control sets a target position, not a speed: everything comes
     to rest when the operator lets go, closes the page or loses the connection. Each run begins with
-    the sliders at their initial values.
-
-    Parameters
-    ----------
-    controls
-        Controls in the order in which they are shown.
-    inputs
-        Values of the controls, which the pages set.
-    period
-        Time between readings, in s.
+    the sliders at their initial values; `period` is the time between readings, in s.
     """
 
     def __init__(

@@ -40,33 +40,13 @@ class Reading:
 
 @dataclass(frozen=True, kw_only=True)
 class Sample:
-    """Values of the strips at one time; NaN where there is none.
+    """Values of the strips at one time in s; NaN where there is none.
 
-    Parameters
-    ----------
-    time
-        Time in s.
-    mode
-        Tracking mode in a word; empty without a tracker.
-    x, z, theta
-        Features of the estimated needle that the visual servo drives to zero, in mm, mm and deg.
-    depth
-        Depth of the estimated tip below the middle of the probe's face, in mm.
-    force, target
-        Contact force and its target, in N.
-    error
-        Distance of the estimated tip, or cross-section, from the true one, in mm.
-    probability
-        Probability that there is a needle: the estimate's, or that of the most probable line.
-    inserted
-        True inserted length of the needle, in mm.
-    lines
-        Numbers of lines that are followed, by class.
-    readings
-        Readings that replace those of a tracked needle.
-    reason, held, stopped
-        Why the tracker did not confirm the needle, why the servo holds, and why the guard has
-        stopped the robot; empty if there is nothing to say.
+    `mode` is the tracking mode, empty without a tracker. X, Z and depth of the estimated tip, the
+    true inserted length and the distance `error` from the truth are in mm, theta in deg, force and
+    target in N. The probability is the estimate's, or that of the most probable line; `lines`
+    counts those that are followed, by class. `readings` replace those of a tracked needle.
+    `reason`, `held` and `stopped` say why the tracker, the servo or the guard does not go on.
     """
 
     time: float
@@ -108,12 +88,18 @@ def sample_estimate(
     if estimate.curve is None:
         return Sample(time=time, **values)
     values["probability"] = estimate.probability
-    entry, tip = X_WP.inverse().multiply(np.stack([estimate.curve.entry, estimate.curve.tip]).T).T
-    x, z, theta = needle_features(tip, tip - entry).tolist()
     return Sample(
-        time=time, x=1e3 * x, z=1e3 * z, theta=math.degrees(theta), depth=1e3 * float(tip[1]),
-        **values,
-    )  # fmt: skip
+        time=time, **needle_place(estimate.curve.entry, estimate.curve.tip, X_WP), **values
+    )
+
+
+def needle_place(p_WEntry: Floats, p_WTip: Floats, X_WP: RigidTransform) -> dict[str, float]:
+    """Return features and depth of a needle, seen from the probe, in mm and deg."""
+    entry, tip = X_WP.inverse().multiply(np.stack([p_WEntry, p_WTip]).T).T
+    x, z, theta = needle_features(tip, tip - entry).tolist()
+    return {
+        "x": 1e3 * x, "z": 1e3 * z, "theta": math.degrees(theta), "depth": 1e3 * float(tip[1]),
+    }  # fmt: skip
 
 
 def tip_error(estimate: NeedleEstimate, tips: Sequence[tuple[float, Floats]]) -> float:

@@ -1,7 +1,7 @@
 """The two slices through the needle, with coordinates in mm and an overlay beside the echo."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,19 +14,13 @@ from sonoservo.systems.signals.volume import Volume
 
 Floats = NDArray[np.float64]
 
-_PIXEL = 0.4e-3
-"""Pixel size of the pictures, in m."""
-
-_BESIDE = 2.5e-3
-"""Distance of the overlay from the needle's axis, in m: clear of the echo."""
-
+_PIXEL = 0.4e-3  # Pixel size of the pictures, in m
+_BESIDE = 2.5e-3  # Distance of the overlay from the needle's axis, in m: clear of the echo
 _POINTS = 21
+# Largest distance of a slice from the needle at which the overlay belongs to it, in m.
 _IN_PLANE = 1.5e-3
-"""Largest distance of a slice from the needle at which the overlay belongs to it, in m."""
-
-_NEARBY = 3e-3
-"""Largest distance in m from a slice at which a followed line is drawn in it."""
-
+_NEARBY = 3e-3  # Largest distance in m from a slice at which a followed line is drawn in it
+# Titles and axes of the two slices, without and with a needle.
 _NAMES = (
     (("Lateral plane", ("X", "depth")), ("Elevation plane", ("Z", "depth"))),
     (
@@ -34,7 +28,6 @@ _NAMES = (
         ("Along needle, across beam", ("along needle", "across beam")),
     ),
 )
-"""Titles and axes of the two slices, without and with a needle."""
 
 
 @dataclass(frozen=True)
@@ -56,12 +49,11 @@ class SliceView:
 
 @dataclass(frozen=True, eq=False)
 class SlicePicture:
-    """A slice to be drawn; all lengths are in mm.
+    """A slice to be drawn, with its title and the names of its coordinates to the right and down.
 
-    It has a title, the names of its coordinates to the right and down, (rows, columns) levels, the
-    upper left corner and the size of the picture, the left, right, top and bottom edges of the area
-    shown, two polylines beside the needle, the (2,) tip (empty without a needle), and class and (2,
-    2) ends of the lines that are followed near the slice.
+    In mm: upper left corner and size of the (rows, columns) levels; left, right, top and bottom
+    edges of the area shown; two polylines beside the needle; its (2,) tip, empty without one; and
+    class and (2, 2) ends of the lines that are followed near the slice.
     """
 
     title: str
@@ -136,27 +128,15 @@ def kept_slice(number: int, slice_: Plane, grey: NDArray[np.uint8], needle: Floa
     first.
     """
     R, centre = _upright(slice_), slice_.X_PS.translation()
+    plane = Plane(RigidTransform(RotationMatrix(R), centre), slice_.width, slice_.height)
+    view = SliceView(plane, _origin(R, centre), np.zeros((2, 2)))
     half = 0.5 * np.array([slice_.width, slice_.height])
-    view = SliceView(Plane(RigidTransform(RotationMatrix(R), centre), slice_.width, slice_.height),
-                     _origin(R, centre), np.stack([-half, half]))  # fmt: skip
+    window = view.coordinates(centre) + np.stack([-half, half])
     turned = np.sum(R * slice_.X_PS.rotation().matrix(), axis=0)[:2] < 0
     grey = grey[:: -1 if turned[1] else 1, :: -1 if turned[0] else 1]
-    (left, top), (right, bottom) = 1e3 * (view.coordinates(centre) + view.window)
-    rails, tip = [], np.zeros(0)
-    if len(needle):
-        seen = 1e3 * view.coordinates(needle)
-        rails, tip = beside(seen, 1e3 * _BESIDE), seen[-1]
-    title, axes = _NAMES[len(needle) > 0][number]
-    return SlicePicture(
-        title,
-        axes,
-        np.ascontiguousarray(grey),
-        (float(left), float(top)),
-        (float(right - left), float(bottom - top)),
-        (float(left), float(right), float(top), float(bottom)),
-        rails,
-        tip,
-    )
+    shown = view.coordinates(needle) if len(needle) else None
+    names = _NAMES[len(needle) > 0][number]
+    return _picture(replace(view, window=window), np.ascontiguousarray(grey), names, shown)
 
 
 def slice_pictures(
@@ -168,34 +148,37 @@ def slice_pictures(
     """Return the pictures of the two orthogonal planes through the needle; see `slice_views`."""
     pictures: list[SlicePicture | None] = []
     views = slice_views(volume, curve, offsets)
-    names = _NAMES[curve is not None]
-    for view, (title, axes), offset in zip(views, names, offsets, strict=False):
+    for view, names, offset in zip(views, _NAMES[curve is not None], offsets, strict=False):
         if view is None:
             pictures.append(None)
             continue
         grey = sample_plane(volume, view.plane, max(_PIXEL, 0.5 * float(volume.spacing.min())))
-        half = 0.5 * np.array([view.plane.width, view.plane.height])
-        corner = 1e3 * (view.coordinates(view.plane.X_PS.translation()) - half)
-        rails, tip = [], np.zeros(0)
+        needle = None
         if curve is not None and abs(offset) <= _IN_PLANE:
             points = volume.to_probe(curve.position(np.linspace(0, 1, _POINTS)))
             needle = view.coordinates(points)
-            rails, tip = beside(1e3 * needle, 1e3 * _BESIDE), 1e3 * needle[-1]
-        (left, top), (right, bottom) = 1e3 * view.window
-        pictures.append(
-            SlicePicture(
-                title,
-                axes,
-                grey,
-                (float(corner[0]), float(corner[1])),
-                (2e3 * float(half[0]), 2e3 * float(half[1])),
-                (float(left), float(right), float(top), float(bottom)),
-                rails,
-                tip,
-                lines_near(view, volume, lines) if lines else (),
-            )
-        )
+        near = lines_near(view, volume, lines) if lines else ()
+        pictures.append(_picture(view, grey, names, needle, near))
     return pictures
+
+
+def _picture(
+    view: SliceView,
+    grey: NDArray[np.uint8],
+    names: tuple[str, tuple[str, str]],
+    needle: Floats | None,
+    lines: Sequence[tuple[str, Floats]] = (),
+) -> SlicePicture:
+    """Return a view as a picture with its title and axes, and an (m, 2) needle in m, if any."""
+    size = np.array([view.plane.width, view.plane.height])
+    x, y = 1e3 * (view.coordinates(view.plane.X_PS.translation()) - 0.5 * size)
+    (left, top), (right, bottom) = 1e3 * view.window
+    rails, tip = [], np.zeros(0)
+    if needle is not None:
+        rails, tip = beside(1e3 * needle, 1e3 * _BESIDE), 1e3 * needle[-1]
+    window = float(left), float(right), float(top), float(bottom)
+    extent = 1e3 * float(size[0]), 1e3 * float(size[1])
+    return SlicePicture(*names, grey, (float(x), float(y)), extent, window, rails, tip, lines)
 
 
 def line_classes(lines: LineHypotheses) -> list[str]:

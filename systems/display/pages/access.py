@@ -8,9 +8,7 @@ from ipaddress import ip_address
 from socket import gethostname
 from urllib.parse import urlsplit
 
-_EVERYWHERE = ("", "*", "0.0.0.0", "::")
-"""Names of all addresses of this machine."""
-
+_EVERYWHERE = ("", "*", "0.0.0.0", "::")  # Names of all addresses of this machine
 _TOKEN = secrets.token_urlsafe(24)
 
 
@@ -61,17 +59,7 @@ class Access:
     def refusal(
         self, host: str | None, origin: str | None, tokens: Iterable[str], *, websocket: bool
     ) -> str | None:
-        """Return the reason for which a request is refused; None if it may be answered.
-
-        Parameters
-        ----------
-        host, origin
-            Its headers Host and Origin; None if it has none.
-        tokens
-            Tokens that it carries.
-        websocket
-            Whether it asks for a WebSocket.
-        """
+        """Return why a request with such headers and tokens is refused; None if it is not."""
         if host is None or not self._is_own(host):
             return "Its address does not name this server."
         foreign = origin is not None and origin.lower() != f"http://{host.lower()}"

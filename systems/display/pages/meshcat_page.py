@@ -2,7 +2,9 @@
 
 import asyncio
 import base64
+import logging
 import secrets
+from collections.abc import Callable
 from contextlib import suppress
 from mimetypes import guess_type
 
@@ -17,15 +19,19 @@ from sonoservo.systems.display.pages.site import Guarded, Site
 PATIENCE = 20.0
 """Time in s for which a page may leave what it was sent unread before it is disconnected."""
 
+# Paths of Meshcat's server that are passed on.
 _FILES = r"(|index\.html|meshcat\.html|favicon\.ico|download|cas-v1/[0-9a-f]{64})"
-"""Paths of Meshcat's server that are passed on."""
-
 _CHUNK = 65_536
-_PONG = 0x8A
-"""First byte of a WebSocket's answer to a ping (RFC 6455)."""
+_PONG = 0x8A  # First byte of a WebSocket's answer to a ping (RFC 6455)
 
 
-def open_meshcat(site: Site, *, page: str = "world", title: str = "World") -> Meshcat:
+def open_meshcat(
+    site: Site,
+    *,
+    page: str = "world",
+    title: str = "World",
+    close: Callable[[], None] | None = None,
+) -> Meshcat:
     """Return a Meshcat whose page is on a site; its `web_url` is the page's address there.
 
     Drake's server checks neither Host nor Origin, and a message that is not whole ends it, and the
@@ -34,20 +40,15 @@ def open_meshcat(site: Site, *, page: str = "world", title: str = "World") -> Me
     it: what a page says, such as the state of a gamepad, is dropped, so Meshcat's own sliders and
     buttons have no effect. A page that reads nothing for `PATIENCE` is disconnected.
 
-    Parameters
-    ----------
-    site
-        Site of the page. It keeps the Meshcat alive until it is closed.
-    page, title
-        Name of the page in its address, and title in the list of pages.
-
-    Notes
-    -----
     The hidden server itself still answers everybody. A page of another origin would have to guess
     24 bits of its address and about 15 bits of its port, at some hundreds of attempts per second.
     If the system has no loop address but 127.0.0.1, as macOS, only the port is hidden, and a
     patient page can find it. Programs on this machine can list open ports in any case.
+
+    The site keeps the Meshcat until it is closed, or leaves that to a caller who is told to
+    ``close``.
     """
+    logging.getLogger("drake").addFilter(_is_news)
     for host in (_random_loop_address(), "127.0.0.1"):
         parameters = MeshcatParams(
             host=host,
@@ -61,8 +62,19 @@ def open_meshcat(site: Site, *, page: str = "world", title: str = "World") -> Me
     else:
         raise OSError("no port of this machine's loop is free for Meshcat")
     server = host, meshcat.port()
-    site.add(page, title, [(_FILES, MeshcatPage, {"server": server})], keep=meshcat)
+    handlers = [(_FILES, MeshcatPage, {"server": server})]
+    site.add(page, title, handlers, keep=meshcat if close is None else None, close=close)
     return meshcat
+
+
+def _is_news(record: logging.LogRecord) -> bool:
+    """Return False for Drake's log records that tell a user nothing new.
+
+    A slow page asks for pictures that newer ones have replaced, and gets these next. The page's
+    address is told by whoever opens it.
+    """
+    text = record.getMessage()
+    return "Unknown CAS key" not in text and "listening for connections" not in text
 
 
 def _random_loop_address() -> str:
@@ -76,6 +88,14 @@ class MeshcatPage(Guarded, WebSocketHandler):
     What the server sends is passed on unread, and what the page sends is dropped. A page costs
     about 1 % of a core.
     """
+
+    @property
+    def needs_token(self) -> bool:  # type: ignore[override]
+        """False for a picture, whose name is its hash: who can name it knows it.
+
+        A foreign frame, such as a notebook's, has the token in its address only.
+        """
+        return not self.path_args[0].startswith("cas-v1/")
 
     def initialize(self, server: tuple[str, int]) -> None:
         """Keep the address and the port of Meshcat's server."""

@@ -8,7 +8,6 @@ import socket
 import threading
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from types import TracebackType
 from typing import Any, Self, TypeVar
 
 from tornado.httpserver import HTTPServer
@@ -27,12 +26,8 @@ PORT = 7000
 MAX_MESSAGE = 65_536
 """Maximum size in bytes of a page's message; real ones stay below a kilobyte."""
 
-_PORTS = 100
-"""Number of successive ports that are tried."""
-
-_FAREWELL = 0.05
-"""Time in s for telling open pages that the server stops."""
-
+_PORTS = 100  # Number of successive ports that are tried
+_FAREWELL = 0.05  # Time in s for telling open pages that the server stops
 _REFUSED = """\
 <!DOCTYPE html><meta charset="utf-8"><title>Refused</title>
 <style>body {{ font: 16px sans-serif; max-width: 40em; margin: 15vh auto; }}</style>
@@ -46,35 +41,12 @@ _REFUSED = """\
 class Site:
     """Serves all pages of a run under one address, and only to those who know its token.
 
-    Pages are added with `add`. Each page has an address of its own, with the token in it, from
-    `address`. A browser that has opened one keeps the token as a cookie, which it sends to this
-    site only (SameSite=Strict) and shows to no script (HttpOnly). `Access` is the rule for every
-    request, and the list of the pages is at the site's root.
-
-    The site serves on a thread of its own, and ends with the process.
-
-    Parameters
-    ----------
-    host
-        Name or address to listen on; ``*`` for all addresses of this machine.
-    port
-        Port to listen on, or the next free one if it is in use.
-
-    Attributes
-    ----------
-    access
-        Rule for every request.
-    port
-        Port on which it listens.
-    cookie
-        Name of the cookie that holds the token.
-
-    Raises
-    ------
-    ValueError
-        If the port is not between 1 and 65535.
-    OSError
-        If the host is not an address of this machine, or no port is free.
+    A browser that has opened a page's `address` keeps the token in it as a cookie, which it sends
+    to this site only (SameSite=Strict) and shows to no script (HttpOnly). `Access` is the rule for
+    every request; the list of the pages is at the site's root. The host may be ``*``, for all
+    addresses of this machine, and a port in use gives way to the next free one. The site serves on
+    a thread of its own, and ends with the process. OSError if the host is no address of this
+    machine, or no port is free.
     """
 
     def __init__(self, *, host: str = "localhost", port: int = PORT) -> None:
@@ -104,12 +76,7 @@ class Site:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
     def address(self, page: str = "") -> str:
@@ -155,6 +122,8 @@ class Site:
 
     def ask(self, function: Callable[[], T]) -> T:
         """Call a function on the site's thread, and return its result."""
+        if threading.current_thread() is self._thread:
+            return function()
 
         async def answer() -> T:
             return function()

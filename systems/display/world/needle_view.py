@@ -6,15 +6,13 @@ from pydrake.math import RigidTransform, RotationMatrix
 
 from sonoservo.systems.display.colours import HUB, MODE_COLOURS, STEEL, rgba
 from sonoservo.systems.display.shapes import tubes
-from sonoservo.systems.display.world.rod import Rod, Switch
+from sonoservo.systems.display.world.parts import Rod, Switch
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
 
+# Smallest radius of a drawn needle, and radius of the ball at its tip, in m.
 _VISIBLE, _BALL = 1.3e-3, 2.2e-3
-"""Smallest radius of a drawn needle, and radius of the ball at its tip, in m."""
-
-_RING = 6e-3
-"""Radius of the ring around the estimated tip, in m: clear of the true one."""
+_RING = 6e-3  # Radius of the ring around the estimated tip, in m: clear of the true one
 
 
 class NeedleView:

@@ -19,12 +19,15 @@ from sonoservo.systems.display.colours import (
 )
 from sonoservo.systems.display.shapes import sector_edges, tubes
 from sonoservo.systems.display.textured_quads import encode_webp, gltf_textured_quads
-from sonoservo.systems.display.world.ellipsoid import EllipsoidView
-from sonoservo.systems.display.world.film import Film
-from sonoservo.systems.display.world.force_arrow import ForceArrow
-from sonoservo.systems.display.world.label import Label
 from sonoservo.systems.display.world.needle_view import EstimateView, NeedleView
-from sonoservo.systems.display.world.scene import facing, set_scene
+from sonoservo.systems.display.world.parts import (
+    EllipsoidView,
+    Film,
+    ForceArrow,
+    Label,
+    facing,
+    set_scene,
+)
 from sonoservo.systems.signals.guard_status import GuardStatus
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle import Needle
@@ -46,11 +49,9 @@ _LAYERS = (
     "needle", "estimate", "uncertainty", "sector", "slices", "phase", "force"
 )  # fmt: skip
 _WAITING = "waiting for the first volume"
-_SIGN = 0.35
-"""Largest width of the tracking mode and its reason, in m."""
-
+_SIGN = 0.35  # Largest width of the tracking mode and its reason, in m
+# Distance from the middle of the probe's face to the force's arrow, in m: clear of the housing.
 _BESIDE = 0.045
-"""Distance from the middle of the probe's face to the force's arrow, in m: clear of the housing."""
 
 
 @dataclass(kw_only=True)

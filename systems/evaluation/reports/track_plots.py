@@ -103,8 +103,10 @@ def plot_planes(pictures: list[VolumePictures]) -> Figure:
     return figure
 
 
-def plot_tip(times: Floats, estimates: list[NeedleEstimate], p_LTip: Floats) -> Figure:
-    """Return a figure of (n, 3) tips in the file's frame L in m, and of the needle's length."""
+def plot_tip(
+    times: Floats, estimates: list[NeedleEstimate], p_LTip: Floats, in_view: Floats
+) -> Figure:
+    """Return a figure of (n, 3) tips in the file's frame L and of (n,) lengths in view, in m."""
     figure = Figure(figsize=(9, 5), layout="constrained")
     tip, length = figure.subplots(2, 1, sharex=True)
     confirmed = np.array([each.mode == TrackingMode.TRACKING for each in estimates])
@@ -113,9 +115,8 @@ def plot_tip(times: Floats, estimates: list[NeedleEstimate], p_LTip: Floats) -> 
         unsure = np.where(confirmed, np.nan, 1e3 * p_LTip[:, axis])
         tip.plot(times, unsure, "o", color=colour, markersize=4, fillstyle="none")
     tip.set_title("Estimated tip in the file's coordinates (circles: not confirmed)", loc="left")
-    chord = [1e3 * each.curve.chord if each.curve is not None else np.nan for each in estimates]
-    length.plot(times, chord, color=_NEEDLE, linewidth=1.4)
-    length.set_title("Length in view, entry to tip", loc="left")
+    length.plot(times, 1e3 * in_view, color=_NEEDLE, linewidth=1.4)
+    length.set_title("Length in view", loc="left")
     for each in (tip, length):
         each.set_ylabel("mm")
         each.grid(alpha=0.3)

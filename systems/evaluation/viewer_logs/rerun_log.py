@@ -13,7 +13,7 @@ from sonoservo.systems.evaluation.viewer_logs.viewer_log import (
     changes,
     ellipsoid_axes,
 )
-from sonoservo.systems.recording.extras import require_extra
+from sonoservo.systems.files.refusals import require_extra
 from sonoservo.systems.signals.volume import Volume
 
 TIMELINE = "time"  # name of the time line, in s of the simulation

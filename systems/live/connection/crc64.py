@@ -4,8 +4,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+# CRC-64/ECMA-182: most significant bit first, starts at 0, nothing is inverted.
 _POLYNOMIAL = 0x42F0E1EBA9EA3693
-"""CRC-64/ECMA-182: most significant bit first, starts at 0, nothing is inverted."""
 
 
 def _make_tables() -> NDArray[np.uint64]:
@@ -26,15 +26,7 @@ _TABLES = _make_tables()
 
 
 def crc64(data: bytes | bytearray | memoryview, crc: int = 0) -> int:
-    """Return the checksum of some bytes, or go on from the checksum of those before them.
-
-    Parameters
-    ----------
-    data
-        Contiguous bytes.
-    crc
-        Checksum of what came before.
-    """
+    """Return the checksum of contiguous bytes, going on from that of those before them."""
     return int(_crc64(np.frombuffer(data, np.uint8), np.uint64(crc), _TABLES)) if len(data) else crc
 
 

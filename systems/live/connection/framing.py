@@ -15,22 +15,15 @@ HEADER_SIZE = 58
 MAX_BODY = 1 << 28
 """Most bytes of a body that is kept; a volume of 400 x 400 x 400 float32 numbers fits."""
 
-_MAX_SKIPPED = 1 << 32
-"""Most bytes of a body that is skipped; a header that announces more is none."""
-
+_MAX_SKIPPED = 1 << 32  # Most bytes of a body that is skipped; a header that announces more is none
+# Bytes reserved for a body at first; what is reserved doubles as they arrive.
 _FIRST_PIECE = 1 << 20
-"""Bytes reserved for a body at first; what is reserved doubles as they arrive."""
-
 _HEADER = struct.Struct("> H 12s 20s I I Q Q")
 _EXTENDED = struct.Struct("> H H I I")
-_VERSIONS = (1, 2, 3)
-"""Version 3 is laid out as version 2 is."""
-
-_FRACTION = 1 << 32
-"""The second half of a time stamp counts in these parts of a second."""
-
+_VERSIONS = (1, 2, 3)  # Version 3 is laid out as version 2 is
+_FRACTION = 1 << 32  # The second half of a time stamp counts in these parts of a second
+# Time in s that a message may take, and how many bytes a second prolong it.
 _HEADER_PATIENCE, _SLOWEST = 5.0, 1e6
-"""Time in s that a message may take, and how many bytes a second prolong it."""
 
 
 class FramingError(Exception):
@@ -43,20 +36,10 @@ class MessageError(Exception):
 
 @dataclass(frozen=True)
 class Header:
-    """Header of a message.
+    """Header of a message: its time in s, and size and checksum of its body in bytes.
 
-    Parameters
-    ----------
-    version
-        1, or more with an extended header and metadata.
-    type, device
-        For example ``IMAGE`` and ``Image_Probe``.
-    time
-        Time in s.
-    size
-        Bytes of the body.
-    crc
-        Checksum of the body.
+    From version 2 on, the body has an extended header and metadata. `type` and `device` are, for
+    example, ``IMAGE`` and ``Image_Probe``.
     """
 
     version: int

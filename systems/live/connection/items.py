@@ -16,15 +16,7 @@ from sonoservo.systems.signals.immutable import Immutable
 
 @dataclass(frozen=True, eq=False)
 class Item(Immutable):
-    """One message.
-
-    Parameters
-    ----------
-    name
-        Name of the sending device, by which receivers tell messages apart.
-    time
-        Time of the measurement in s, by the sender's clock.
-    """
+    """One message: the sending device's name, and the time of measurement in s, by its clock."""
 
     name: str
     time: float
@@ -32,15 +24,7 @@ class Item(Immutable):
 
 @dataclass(frozen=True, eq=False)
 class ImageItem(Item):
-    """A volume, or a 2D frame with one layer.
-
-    Parameters
-    ----------
-    voxels
-        (ni, nj, nk) numbers, in any order of memory.
-    X_LI
-        (4, 4) from voxel indices (i, j, k, 1) to positions in L, in m.
-    """
+    """(ni, nj, nk) voxels, or a frame of one layer; X_LI is (4, 4), from indices to L in m."""
 
     voxels: NDArray[Any]
     X_LI: NDArray[np.float64]
@@ -55,13 +39,7 @@ class PoseItem(Item):
 
 @dataclass(frozen=True, eq=False)
 class CurveItem(Item):
-    """Points along a curve.
-
-    Parameters
-    ----------
-    points
-        (n, 3) in m.
-    """
+    """(n, 3) points along a curve, in m."""
 
     points: NDArray[np.float64]
 
@@ -88,12 +66,6 @@ class StatusItem(Item):
 
 @dataclass(frozen=True, eq=False)
 class CovarianceItem(Item):
-    """Covariance of a position.
-
-    Parameters
-    ----------
-    covariance
-        (3, 3) in m^2.
-    """
+    """(3, 3) covariance of a position, in m^2."""
 
     covariance: NDArray[np.float64]

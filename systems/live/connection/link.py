@@ -8,7 +8,6 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
-from types import TracebackType
 from typing import Any, Self
 
 from sonoservo.systems.live.connection.framing import FramingError
@@ -20,17 +19,12 @@ MAX_HELD = 1 << 29
 """Bytes reserved at most for the unfinished messages of all peers together."""
 
 _MAX_PEERS = 256
-_PIECE = 1 << 18
-"""Bytes that are written at once, and so the most that waits outside of an outbox."""
-
-_HUNG = 30.0
-"""Time in s after which a peer that takes nothing of what waits for it is given up."""
-
+_PIECE = 1 << 18  # Bytes that are written at once, and so the most that waits outside of an outbox
+_HUNG = 30.0  # Time in s after which a peer that takes nothing of what waits for it is given up
 _FIRST_RETRY, _LAST_RETRY, _CONNECTING = 0.1, 2.0, 5.0
 _TICK = 0.25
+# Time in s in which at most so many lines about one host are printed.
 _REPORT_EVERY, _REPORTS = 10.0, 5
-"""Time in s in which at most so many lines about one host are printed."""
-
 _LONGEST_LINE, _SKIPPED = 400, 32
 
 
@@ -88,30 +82,15 @@ class _Peer(asyncio.BufferedProtocol):
 class Link:
     """A connection that is kept up, or a port that any number of peers connect to.
 
-    Use it as a context manager, or call `start` and `close`. Whatever comes in passes one boundary:
-    a message that sets off an error is left out, a peer whose bytes make no sense is cut off and
-    may come again, and each is one line to ``report``. All peers share one budget of memory and of
-    connections; when it is spent, those leave first that never sent or took anything of use, then
-    those that did so longest ago.
+    Use it as a context manager. `receive` is called with every item, the time of its last byte
+    (`time.perf_counter`) and the peer's name, on the link's own thread, so it must be quick;
+    `report` with one printable line for a person. A message that sets off an error is left out, a
+    peer whose bytes make no sense is cut off and may come again. All peers share one budget of
+    memory and of connections; when it is spent, those leave first that never sent or took anything
+    of use, then those that did so longest ago.
 
-    Parameters
-    ----------
-    address
-        Address to connect to or to listen on.
-    receive
-        Function that is called with every received item, the time of its last byte
-        (`time.perf_counter`) and the peer's name; on the link's own thread, so it must be quick.
-    report
-        Function that is called with one printable line for a person, on any thread.
-
-    Attributes
-    ----------
-    dropped
-        Number of messages that were not sent, because newer ones took their place.
-    refused, skipped
-        Number of messages that were left out, and numbers of those of no use here, by type.
-    failure
-        Error that ended the link's thread, if any.
+    `dropped` counts messages that newer ones replaced, `refused` those left out, and `skipped`
+    those of no use here, by type. `failure` is the error that ended the link's thread, if any.
     """
 
     def __init__(
@@ -138,12 +117,7 @@ class Link:
         self.start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
     def start(self) -> None:
@@ -189,8 +163,8 @@ class Link:
     def send(self, items: Sequence[Item], topic: str = "", keep: int | None = None) -> None:
         """Send items together to every peer; never waits.
 
-        For a peer that is too slow, at most ``keep`` of a topic wait (by default that of the first
-        item's name), and newer ones take the place of older ones.
+        For a slow peer, at most ``keep`` of a topic wait, by default that of the first item's name;
+        newer ones take the place of older ones.
         """
         if not self._peers or not items:
             return

@@ -35,24 +35,19 @@ from sonoservo.systems.recording.grey_levels import luminance
 
 DEFAULT_PORT = 18944
 
-_FLIP = np.diag([-1.0, -1.0, 1.0])
-"""From LPS to RAS and back."""
-
+_FLIP = np.diag([-1.0, -1.0, 1.0])  # From LPS to RAS and back
 _MM = 1e3
 _MAX_TEXT = 0xFFFF
 _FLOAT64, _OK, _NOT_READY = 11, 1, 13
-_UTF8 = 106
-"""Number of UTF-8 in IANA's list of character sets."""
-
+_UTF8 = 106  # Number of UTF-8 in IANA's list of character sets
 _LITTLE, _RAS = 2, 1
 _TYPES = {2: "i1", 3: "u1", 4: "i2", 5: "u2", 6: "i4", 7: "u4", 10: "f4", 11: "f8"}
 _CODES = {np.dtype(each): code for code, each in _TYPES.items()}
 
 _IMAGE = struct.Struct("> H 4B 3H 12f 6H")
 _POINT = struct.Struct("> 64s 32s 4B 4f 20s")
+# A named point with a quaternion, real part first, as pyigtl sends them.
 _POSITION = struct.Struct("> 64s 32s 4B 8f 20s")
-"""A named point with a quaternion, real part first, as pyigtl sends them."""
-
 _TOOL = struct.Struct("> 20s 2B 12f")
 _QUATERNION_TOOL = struct.Struct("> 20s 2B 7f")
 _STATUS = struct.Struct("> H q 20s")
@@ -235,9 +230,9 @@ def _decode_array(name: str, time: float, content: memoryview) -> list[Item]:
     return [CovarianceItem(name, time, _FLIP @ array @ _FLIP / _MM**2)]
 
 
+# Most bytes of a message that is no image, and of one with poses: some hundred tools.
 _SMALL, _POSES = 1 << 20, 1 << 16
-"""Most bytes of a message that is no image, and of one with poses: some hundred tools."""
-
+# Decoder of each type, and the most bytes of its body.
 _DECODERS: dict[str, tuple[Callable[[str, float, memoryview], list[Item]], int]] = {
     "IMAGE": (_decode_image, MAX_BODY),
     "TRANSFORM": (_decode_transform, _POSES),
@@ -251,7 +246,6 @@ _DECODERS: dict[str, tuple[Callable[[str, float, memoryview], list[Item]], int]]
     "POLYDATA": (_decode_polydata, _SMALL),
     "NDARRAY": (_decode_array, _SMALL),
 }
-"""Decoder of each type, and the most bytes of its body."""
 
 
 def _label(text: bytes) -> str:

@@ -1,7 +1,6 @@
 """The protocols of live connections, and the addresses that name them."""
 
 import re
-from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib import import_module
 from typing import Any, Protocol, cast
@@ -10,32 +9,9 @@ from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.typed_yaml import suggest
 from sonoservo.systems.live.connection.items import Item
 
+# Modules with what `LiveProtocol` describes, by the scheme of their addresses.
 _PROTOCOLS = {"igtl": "sonoservo.systems.live.connection.open_igt_link"}
-"""Modules with what `LiveProtocol` describes, by the scheme of their addresses."""
-
 _ADDRESS = re.compile(r"(\w+)://(\[[0-9a-fA-F:.]+\]|[^/:\s]*)(?::(\d{1,5}))?(?:/(.{0,20}))?")
-
-
-class StreamFramer(Protocol):
-    """Cuts the bytes of one connection into messages, as `Framer` does."""
-
-    @property
-    def buffer(self) -> memoryview:
-        """Memory that takes the next bytes."""
-        ...
-
-    @property
-    def held(self) -> int:
-        """Bytes of memory reserved for the message under way."""
-        ...
-
-    def advance(self, count: int, now: float) -> Iterator[Any]:
-        """Take in bytes of the buffer; yield the messages that they complete."""
-        ...
-
-    def is_overdue(self, now: float) -> bool:
-        """Return True if the message under way takes too long."""
-        ...
 
 
 class LiveProtocol(Protocol):
@@ -43,8 +19,8 @@ class LiveProtocol(Protocol):
 
     DEFAULT_PORT: int
 
-    def make_framer(self) -> StreamFramer:
-        """Return what cuts the bytes of one connection into messages."""
+    def make_framer(self) -> Any:
+        """Return what cuts the bytes of one connection into messages, as `Framer` does."""
         ...
 
     def encode(self, item: Item) -> bytes:
@@ -58,19 +34,9 @@ class LiveProtocol(Protocol):
 
 @dataclass(frozen=True)
 class Address:
-    """Address to connect to, or to listen on.
+    """Address to connect to, or to listen on: for this machine alone if the host is empty.
 
-    Parameters
-    ----------
-    scheme
-        Name of the protocol.
-    host
-        Host to connect to; empty to listen on this machine alone. ``0.0.0.0`` and ``::`` listen on
-        all of its networks.
-    port
-        Port, from 0 to 65535.
-    device
-        Device whose images are meant; empty for any.
+    ``0.0.0.0`` and ``::`` listen on all networks. An empty device stands for any.
     """
 
     scheme: str

@@ -1,6 +1,6 @@
 import pytest
 
-from sonoservo.diagrams.app.pages.real_time import RealTime
+from sonoservo.diagrams.app.pages.pacer import RealTime
 
 
 class Clock:

@@ -4,6 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sonoservo.systems.control.differential_kinematics import keeps_limits
 from sonoservo.systems.control.guard_decision import EMPTY, next_memory, retreat_speed
 from sonoservo.systems.control.guard_parameters import (
     BODY_SPEED,
@@ -24,7 +25,6 @@ from sonoservo.systems.control.guard_rules import (
     remark,
 )
 from sonoservo.systems.control.guard_sight import Mode, Sight, region
-from sonoservo.systems.control.joint_limits import keeps_limits
 
 LIMITS = GuardParameters()
 DOWN = (0.0, 0.0, -1.0)

@@ -2,7 +2,6 @@
 
 import pytest
 
-from sonoservo.systems.files.claims import claim_folder
 from sonoservo.systems.files.memory import (
     MEMORY_VARIABLE,
     memory_budget,
@@ -11,6 +10,7 @@ from sonoservo.systems.files.memory import (
 )
 from sonoservo.systems.files.refusals import MAX_MESSAGE, ConfigurationError, refusing_failures
 from sonoservo.systems.files.typed_yaml import apply_changes, read_yaml
+from sonoservo.systems.files.writing import claim_folder
 from sonoservo.systems.files.yaml_loader import load_yaml
 
 

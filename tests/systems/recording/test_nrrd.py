@@ -31,17 +31,3 @@ def test_a_marked_voxel_is_read_back_at_the_right_millimetre(tmp_path, dtype):
     np.testing.assert_allclose(place, [-2 + 0.5, 10 + 1.4, -5 + 9])
     np.testing.assert_allclose(place, 1e3 * volume.position([1, 2, 9]))
     assert Recording(path)[0].decibels_per_level == 45 / 255
-
-
-def test_a_file_made_by_the_format_s_own_rules_is_read_the_same_way(tmp_path):
-    """The first axis in the header is the one that runs fastest in the file."""
-    intensities = np.arange(24, dtype=np.uint8).reshape(2, 3, 4)
-    volume = Volume(
-        intensities=intensities, origin=np.zeros(3), spacing=[1e-3] * 3, X_WP=RigidTransform(),
-        time=0.0,
-    )  # fmt: skip
-    path = write_volume(tmp_path / "scan.nrrd", volume)
-    text, _, _ = path.read_bytes().partition(b"\n\n")
-    assert b"sizes: 2 3 4" in text
-    data, _ = nrrd.read(str(path), index_order="C")
-    np.testing.assert_array_equal(data, intensities.transpose())

@@ -99,6 +99,7 @@ def test_the_same_numbers_and_the_noted_range(old):
         assert volume.motion.geometry.samples == 20
         assert volume.decibels_per_level == 50 / 255
         assert volume.point_spread is None
+    assert Recording(old(), dynamic_range_db=72.0)[0].decibels_per_level == 72 / 255
 
 
 @pytest.mark.parametrize("first", [None, {k: FIRST[k] for k in FIRST if k != "dynamic_range_db"}])
@@ -106,10 +107,6 @@ def test_who_noted_no_range_has_60_decibels_or_what_is_given(old, first):
     path = old(first)
     assert Recording(path)[1].decibels_per_level == 60 / 255
     assert Recording(path, dynamic_range_db=40.0)[1].decibels_per_level == 40 / 255
-
-
-def test_a_given_range_replaces_the_noted_one(old):
-    assert Recording(old(), dynamic_range_db=72.0)[0].decibels_per_level == 72 / 255
 
 
 def test_an_impossible_range_is_one_line(old):

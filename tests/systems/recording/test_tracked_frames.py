@@ -74,9 +74,3 @@ def test_pose_that_is_none_costs_its_frame(tmp_path, frames):
     read = TrackedFrames(path)
     assert read.notes[-1] == "left out 1 frames: 1 whose pose is no transform (2)"
     np.testing.assert_array_equal(read[2], frames[3].pixels)
-
-
-def test_other_files_are_refused(tmp_path):
-    (tmp_path / "frames.avi").write_bytes(b"RIFF")
-    with pytest.raises(ConfigurationError, match="this file type is not supported"):
-        TrackedFrames(tmp_path / "frames.avi")

@@ -7,7 +7,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from sonoservo.models import model_path
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.robot.arm import AddArmWithProbe, MakeArmPlant, load_arm, set_servo_gains
-from sonoservo.systems.robot.motors import motors
+from sonoservo.systems.robot.directives import motors
 from sonoservo.systems.robot.probe_body import AssumedBody, ProbeBody
 
 BODY = ProbeBody(assumed=AssumedBody(dome=[0.03, 0.03, 0.03], mass=0.4, length=0.15))

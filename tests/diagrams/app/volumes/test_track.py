@@ -38,7 +38,9 @@ def live(tmp_path_factory):
 
 def test_a_recording_gives_the_estimates_of_the_live_run_exactly(live, tmp_path):
     path, result = live
-    seen = track_recording(Recording(path), out=tmp_path)
+    recording = Recording(path)
+    seen = track_recording(recording, out=tmp_path)
+    assert path.stat().st_size / len(recording) == pytest.approx(1.5e6, rel=0.05)  # as documented
     assert result.summary["tracking"]["tracked"] > 10
     columns = [n for n in vars(type(result.log))["__dataclass_fields__"] if n.startswith("volume_")]
     assert len(columns) > 10
@@ -48,9 +50,15 @@ def test_a_recording_gives_the_estimates_of_the_live_run_exactly(live, tmp_path)
     for name in set(columns) - unknown - {"volume_seen"}:
         there, here = getattr(result.log, name), getattr(seen.log, name)
         np.testing.assert_array_equal(here, there, err_msg=name)
-    for name in ("tip_error_mm", "axis_error_deg"):
-        there = result.summary["tracking"][name]["median"]
-        assert seen.summary["tracking"][name]["median"] == pytest.approx(there, abs=0.05)
+    for block in ("detection", "tracking"):
+        for name, figure in result.summary[block].items():
+            if name.endswith(("_mm", "_deg")) and name != "absent_travel_mm":
+                near = (
+                    2e-3 if name == "tip_error_in_probe_mm" else 1e-9
+                )  # it has the sweep's motion
+                assert seen.summary[block][name] == pytest.approx(figure, rel=near), name
+    true = seen.log.visible_length[np.searchsorted(seen.log.time, seen.times[-1])]
+    assert seen.in_view[-1] == pytest.approx(true, abs=2e-3)
 
     assert {each.name for each in tmp_path.iterdir()} == {
         "estimates.csv",

@@ -1,68 +1,37 @@
-import base64
-import io
-
 import numpy as np
 import pytest
-from meshcat import Visualizer
-from PIL import Image
+from packed_scene import boxes, transform, visible
 
-from sonoservo.systems.display.colours import MODE_COLOURS
 from sonoservo.systems.display.console.probe_view import ProbeView
+from sonoservo.systems.display.pages.site import Site
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
+from sonoservo.systems.signals.planes import slice_planes
 
 ENTRY, TIP = np.array([-0.03, 0.03, -0.02]), np.array([0.01, 0.05, 0.01])
 
 
-class Recorder:
-    """Takes the place of meshcat's window: keeps what it was sent last, and counts."""
+class Page:
+    """The view on a site, and what it would send, asked for on the site's thread."""
 
-    def __init__(self):
-        self.kept, self.paths = {}, []
+    def __init__(self, site):
+        self._site, self._view = site, ProbeView(site)
 
-    def send(self, command):
-        data = command.lower()
-        path = data["path"].removeprefix("/meshcat/probe")
-        self.kept[data["type"], path] = data
-        self.paths.append(path)
+    def show(self, volume, estimate=None):
+        self._site.ask(lambda: self._view.show(volume, estimate))
 
-    def vertices(self, path):
-        (geometry,) = self.kept["set_object", path]["object"]["geometries"]
-        packed = geometry["data"]["attributes"]["position"]["array"].data
-        return np.frombuffer(packed, "<f4").reshape(-1, 3).astype(float)
-
-    def colour(self, path):
-        return self.kept["set_object", path]["object"]["materials"][0]["color"]
-
-    def visible(self, path):
-        return self.kept["set_property", path]["value"]
-
-    def brightest(self, path):
-        """Where in P a picture is brightest, as three.js draws it on its rectangle."""
-        sent = self.kept["set_object", path]["object"]
-        url = sent["images"][0]["url"]
-        grey = np.array(Image.open(io.BytesIO(base64.b64decode(url.split(",")[1]))))[..., 0]
-        grey = grey.astype(float) ** 2
-        rows, columns = grey.shape
-        right = (grey.sum(axis=0) @ (np.arange(columns) + 0.5)) / grey.sum() / columns - 0.5
-        down = (grey.sum(axis=1) @ (np.arange(rows) + 0.5)) / grey.sum() / rows - 0.5
-        (size,) = sent["geometries"]
-        X = np.reshape(self.kept["set_transform", path]["matrix"], (4, 4)).T
-        return (X @ [right * size["width"], -down * size["height"], 0, 1])[:3]
+    def ask(self, function, path):
+        return self._site.ask(lambda: function(self._view._meshcat, f"probe/{path}"))
 
 
 @pytest.fixture
-def recorder():
-    return Recorder()
+def page():
+    with Site() as site:
+        yield Page(site)
 
 
-@pytest.fixture
-def view(recorder):
-    return ProbeView(Visualizer(window=recorder))
-
-
-def ball_at_the_tip(p_P):
-    return 200 * np.exp(-np.sum((p_P - TIP) ** 2, axis=-1) / (2 * 0.003**2))
+def grey(p_P):
+    return 100 + 1000 * p_P[..., 0]
 
 
 def estimate(volume, mode=TrackingMode.TRACKING, points=(ENTRY, TIP)):
@@ -71,46 +40,43 @@ def estimate(volume, mode=TrackingMode.TRACKING, points=(ENTRY, TIP)):
     return NeedleEstimate(mode, volume.time, curve, np.zeros((n, 3)), np.eye(6 * n), volume.time)
 
 
-def test_slices_and_needle_are_where_they_are_in_the_probe(view, recorder, make_volume):
-    volume = make_volume(ball_at_the_tip)
-    view.draw(volume, estimate(volume))
-    for path in ("/slice_0", "/slice_1"):
-        np.testing.assert_allclose(recorder.brightest(path), TIP, atol=0.3e-3)
-    needle = recorder.vertices("/needle")
-    along = (TIP - ENTRY) / np.linalg.norm(TIP - ENTRY)
-    off = np.linalg.norm(np.cross(needle - ENTRY, along), axis=1)
-    np.testing.assert_allclose(off, 0.9e-3, atol=1e-5)
-    assert (needle @ along).max() == pytest.approx(TIP @ along, abs=1e-5)
+def test_slices_and_needle_are_where_they_are_in_the_probe(page, make_volume):
+    volume = make_volume(grey)
+    found = estimate(volume)
+    page.show(volume, found)
+    planes = slice_planes(volume, found.curve)
+    for plane, box in zip(planes, page.ask(boxes, "slices"), strict=True):
+        corners = plane.grid(2, 2).reshape(-1, 3) - plane.X_PS.translation()
+        corners = plane.X_PS.translation() + 2 * corners  # of the picture, not of its pixels
+        np.testing.assert_allclose(box, [corners.min(axis=0), corners.max(axis=0)], atol=1e-6)
+    assert page.ask(visible, "needle")
+    # The depth runs down, about the middle of the volume.
+    X = page.ask(transform, "")
+    np.testing.assert_allclose(X @ [0, 1, 0, 0], [0, 0, -1, 0], atol=1e-9)
+    middle = 0.5 * (volume.origin + volume.upper)
+    np.testing.assert_allclose(X @ [*middle, 1], [0, 0, 0, 1], atol=1e-9)
 
 
-@pytest.mark.parametrize("mode", list(TrackingMode)[1:])
-def test_the_colour_tells_the_mode(view, recorder, make_volume, mode):
-    volume = make_volume(ball_at_the_tip)
-    view.draw(volume, estimate(volume, mode))
-    red, green, blue = (round(255 * each) for each in MODE_COLOURS[mode])
-    assert recorder.colour("/needle") == red << 16 | green << 8 | blue
+def test_what_cannot_be_seen_is_hidden(page, make_volume):
+    volume = make_volume(grey)
+    page.show(volume, estimate(volume))
+    page.show(volume, NeedleEstimate(TrackingMode.SEARCHING, 0.0))
+    assert page.ask(visible, "slices")
+    assert not page.ask(visible, "needle")
+    page.show(volume, estimate(volume, points=(ENTRY + 1.0, TIP + 1.0)))
+    assert not page.ask(visible, "slices")  # their planes miss the volume
 
 
-def test_the_needle_goes_when_it_is_lost_from_view(view, recorder, make_volume):
-    volume = make_volume(ball_at_the_tip)
-    view.draw(volume, estimate(volume))
-    assert recorder.visible("/needle")
-    view.draw(volume, NeedleEstimate(TrackingMode.SEARCHING, 0.0))
-    assert recorder.visible("/slice_1")
-    assert not recorder.visible("/needle")
-    view.draw(volume, estimate(volume, points=(ENTRY + 1.0, TIP + 1.0)))
-    assert not recorder.visible("/slice_1")  # its plane misses the volume
+def test_the_outline_is_that_of_the_sector_or_else_of_the_grid(page, make_volume):
+    size = lambda meshcat, path: len(meshcat._GetPackedObject(path))  # noqa: E731
+    page.show(make_volume(grey, motion=False))
+    edges = page.ask(size, "outline")
+    page.show(make_volume(grey))
+    assert page.ask(size, "outline") > edges
 
 
-def test_the_outline_is_that_of_the_sector_or_else_of_the_grid(view, recorder, make_volume):
-    volume = make_volume(ball_at_the_tip, motion=False)
-    view.draw(volume, None)
-    edges = recorder.vertices("/outline")
-    np.testing.assert_allclose(edges.min(axis=0), volume.origin, atol=1e-7)
-    np.testing.assert_allclose(edges.max(axis=0), volume.upper, atol=1e-7)
-    assert len(edges) == 24
-    recorder.paths.clear()
-    view.draw(volume, None)
-    assert "/outline" not in recorder.paths  # it has not changed
-    view.draw(make_volume(ball_at_the_tip), None)
-    assert len(recorder.vertices("/outline")) > 24
+def test_a_site_that_is_closed_takes_the_view_along(make_volume):
+    with Site() as site:
+        view = ProbeView(site)
+    view.show(make_volume(grey), None)
+    assert view._meshcat is None

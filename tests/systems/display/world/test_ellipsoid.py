@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydrake.math import RollPitchYaw
 
-from sonoservo.systems.display.world.ellipsoid import confidence_ellipsoid
+from sonoservo.systems.display.world.parts import confidence_ellipsoid
 
 angle = st.floats(-1.5, 1.5)
 

@@ -1,17 +1,17 @@
 import base64
-import json
 import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from packed_scene import boxes, scales, transform, visible
 from pydrake.common.value import Value
 from pydrake.geometry import Meshcat
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 
-from sonoservo.systems.display.world.scene import facing
+from sonoservo.systems.display.world.parts import facing
 from sonoservo.systems.display.world.world_view import WorldView, WorldViewParameters
 from sonoservo.systems.evaluation.reports.report import save_replay
 from sonoservo.systems.signals.guard_status import GuardState, GuardStatus
@@ -53,36 +53,6 @@ def publish(view, time, X_WP, **values):
         port = view.GetInputPort(name)
         port.FixValue(context, [value] if name == "contact_force" else Value[object](value))
     view.ForcedPublish(context)
-
-
-def transform(meshcat, path):
-    """Last 16 numbers of the packed message are the matrix, by columns."""
-    packed = meshcat._GetPackedTransform(path)
-    numbers = [packed[-9 * i : len(packed) - 9 * (i - 1)] for i in range(16, 0, -1)]
-    assert all(number[0] == 0xCB for number in numbers)  # MessagePack's mark of a double
-    return np.array([np.frombuffer(n[1:], ">f8")[0] for n in numbers]).reshape(4, 4).T
-
-
-def boxes(meshcat, path):
-    """[least, greatest] x, y, z of each picture of a glTF object, by the document alone."""
-    packed = meshcat._GetPackedObject(path).decode(errors="replace")
-    document, _ = json.JSONDecoder().raw_decode(packed[packed.index('{"') :])
-    found = []
-    for primitive in document["meshes"][0]["primitives"]:
-        accessor = document["accessors"][primitive["attributes"]["POSITION"]]
-        ends = np.array([accessor["min"], accessor["max"]])
-        x, y, z = ends[:, 0], -ends[::-1, 2], ends[:, 1]  # glTF's +Y is Drake's +Z
-        found.append(np.stack([x, y, z], axis=1))
-    return found
-
-
-def visible(meshcat, path):
-    return {0xC3: True, 0xC2: False}[meshcat._GetPackedProperty(path, "visible")[-1]]
-
-
-def scales(meshcat, path):
-    packed = meshcat._GetPackedProperty(path, "scale")
-    return [np.frombuffer(packed[-27:][9 * i + 1 : 9 * i + 9], ">f8")[0] for i in range(3)]
 
 
 def scale(meshcat, path):

@@ -1,79 +1,44 @@
-"""The leaf that draws a needle, its predicted shape and the newest slice in Meshcat."""
+"""Screen of a shape prediction in Meshcat: needle, predicted shape and newest slice."""
 
 from collections.abc import Sequence
 
 import numpy as np
-from pydrake.common.value import Value
 from pydrake.geometry import Box, Cylinder, Meshcat, Rgba, Sphere
 from pydrake.math import RigidTransform
-from pydrake.systems.framework import Context, LeafSystem
 from scipy.ndimage import binary_fill_holes
 
 from sonoservo.systems.display.colours import CROSS_SECTION, FORCE, MODE_COLOURS, rgba
+from sonoservo.systems.display.shape_view import ShapeSight
 from sonoservo.systems.display.shapes import tubes
 from sonoservo.systems.display.textured_quads import encode_webp, gltf_textured_quads
-from sonoservo.systems.display.world.film import Film
 from sonoservo.systems.display.world.needle_view import NeedleView
-from sonoservo.systems.display.world.rod import Rod
-from sonoservo.systems.display.world.scene import set_scene
+from sonoservo.systems.display.world.parts import Film, Rod, set_scene
 from sonoservo.systems.signals.confidence import RADIUS_95
 from sonoservo.systems.signals.cross_section import CrossSection
 from sonoservo.systems.signals.image_slice import ImageSlice
-from sonoservo.systems.signals.immutable import NotFound
-from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.needle_estimate import TrackingMode
 from sonoservo.systems.signals.needle_shape import NeedleShape
 from sonoservo.systems.signals.planes import Plane, box_edges
-from sonoservo.systems.signals.ports import declare_inputs, evaluate
 from sonoservo.systems.signals.sweep import SweepGeometry
 
 _TISSUE, _PROBE = Rgba(0.55, 0.35, 0.30), Rgba(0.85, 0.87, 0.9)
 _LAYERS = ("tissue", "probe", "cross_section", "needle", "predicted", "tube", "slice")
-_ROD = 1.5e-3
-"""Radius of the drawn path in m, above that of the needle, which would hide it."""
+_ROD = 1.5e-3  # Radius of the drawn path in m, above that of the needle, which would hide it
 _SEGMENTS = 20
-_NEEDLE_LENGTH = 0.2
-"""Length of the needles in the paper, in m."""
-_HANDLE, _AHEAD = 0.09, 0.015
-"""Lengths of the drawn probe behind and ahead of its slice, in m."""
-_ROUND = 0.03
-"""Radius in m up to which an array lies around an endocavity probe; others are flat."""
+_NEEDLE_LENGTH = 0.2  # Length of the needles in the paper, in m
+_HANDLE, _AHEAD = 0.09, 0.015  # Lengths of the drawn probe behind and ahead of its slice, in m
+_ROUND = 0.03  # Radius in m up to which an array lies around an endocavity probe; others are flat
 _FIELD_OF_VIEW_DEG = 30.0
+_FILM_PERIOD = 0.2  # Smallest time between two pictures kept for the replay, in s
 
 
-class ShapeView(LeafSystem):
+class ShapeWorld:
     """Draws a needle, its predicted shape with the tube of its uncertainty, and the newest slice.
 
-    .. pydrake_system::
-
-        name: ShapeView
-        input_ports:
-        - needle
-        - X_WT
-        - slice
-        - cross_section
-        - shape
-
-    ``needle`` is the true `Needle` in T, drawn in grey. The predicted shape has the colour of
-    tracking and reaches from the first slice to the full depth. At each depth, the tube around it
-    contains the needle with a probability of 95 %. A ball marks the newest cross-section. The
-    probe is drawn at each slice.
-
-    Parameters
-    ----------
-    meshcat
-        Meshcat to draw in.
-    tissue_size
-        (3,) extents of the phantom in m.
-    depth
-        Depth down to which the shape is drawn, in m.
-    geometry
-        Geometry of the probe's slices, for drawing the probe.
-    period, offset
-        Period of the pictures and time of the first one, in s: shortly after the estimator's
-        events.
-    path
-        Path of everything that is drawn; by default the layers are at the top of the scene.
+    The true needle is grey. The predicted shape has the colour of tracking and reaches from the
+    first slice to the full `depth` in m; at each depth, the tube around it contains the needle with
+    a probability of 95 %. A ball marks the newest cross-section, and the probe, of a sweep's
+    geometry, is drawn at each slice. The phantom has (3,) extents in m.
     """
 
     def __init__(
@@ -83,30 +48,15 @@ class ShapeView(LeafSystem):
         tissue_size: Sequence[float],
         depth: float,
         geometry: SweepGeometry,
-        period: float,
-        offset: float,
         path: str = "",
     ) -> None:
-        super().__init__()
-        self.set_name("shape_view")
         self._meshcat, self._path = meshcat, path
-        self._size, self._period = np.array(tissue_size), period
+        self._size = np.array(tissue_size)
         self._geometry = geometry
         self._depths = np.linspace(0, depth, _SEGMENTS + 1)
-        self.DeclareAbstractInputPort("X_WT", Value(RigidTransform()))
-        declare_inputs(
-            self,
-            needle=Needle,
-            slice=(ImageSlice, NotFound),
-            cross_section=(CrossSection, NotFound),
-            shape=(NeedleShape, NotFound),
-        )
-        self._start()
-        self.DeclareInitializationPublishEvent(publish=lambda context: self._start())
-        self.DeclarePeriodicPublishEvent(period, offset, self._publish)
-        self.DeclareForcedPublishEvent(self._publish)
 
-    def _start(self) -> None:
+    def start(self) -> None:
+        """Draw what stands still, and hide what is not there yet."""
         meshcat, path = self._meshcat, self._path
         for layer in _LAYERS:
             meshcat.Delete(f"{path}/{layer}")
@@ -128,9 +78,7 @@ class ShapeView(LeafSystem):
                 ("tube", rgba(FORCE, 0.35)),
             )
         )  # fmt: skip
-        self._film = Film(
-            meshcat=meshcat, path=f"{path}/slice", frames=400, period=max(0.2, self._period)
-        )
+        self._film = Film(meshcat=meshcat, path=f"{path}/slice", frames=400, period=_FILM_PERIOD)
 
     def _aim(self) -> None:
         """Place the camera so that the whole box is in view, from the side of the needle."""
@@ -155,27 +103,24 @@ class ShapeView(LeafSystem):
         self._meshcat.SetTransform(body, RigidTransform(middle))
         self._meshcat.SetProperty(f"{self._path}/probe", "visible", False)
 
-    def _publish(self, context: Context) -> None:
-        time = context.get_time()
-        needle = evaluate(self, context, "needle", Needle)
+    def show(self, seen: ShapeSight) -> None:
+        """Draw what is there now."""
+        time, found, image = seen.time, seen.found, seen.image
         if self._needle is None:
             self._needle = NeedleView(
                 meshcat=self._meshcat, path=f"{self._path}/needle",
-                length=_NEEDLE_LENGTH, radius=needle.radius,
+                length=_NEEDLE_LENGTH, radius=seen.needle.radius,
             )  # fmt: skip
-        self._needle.draw(needle, evaluate(self, context, "X_WT", RigidTransform), time)
-        shape = evaluate(self, context, "shape", (NeedleShape, NotFound))
-        if isinstance(shape, NeedleShape):
-            polyline = shape.positions(self._depths)
+        self._needle.draw(seen.needle, seen.X_WT, time)
+        if isinstance(seen.shape, NeedleShape):
+            polyline = seen.shape.positions(self._depths)
             middles = 0.5 * (self._depths[1:] + self._depths[:-1])
             self._predicted.show(polyline, time)
-            self._tube.show(polyline, time, radii=_ROD + RADIUS_95 * shape.std(middles))
-        found = evaluate(self, context, "cross_section", (CrossSection, NotFound))
+            self._tube.show(polyline, time, radii=_ROD + RADIUS_95 * seen.shape.std(middles))
         path = f"{self._path}/cross_section"
         self._meshcat.SetProperty(path, "visible", isinstance(found, CrossSection), time)
         if isinstance(found, CrossSection):
             self._meshcat.SetTransform(path, RigidTransform(found.position), time)
-        image = evaluate(self, context, "slice", (ImageSlice, NotFound))
         if isinstance(image, ImageSlice):
             self._meshcat.SetTransform(f"{self._path}/probe", image.X_WP, time)
             self._meshcat.SetProperty(f"{self._path}/probe", "visible", True, time)

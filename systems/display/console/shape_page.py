@@ -1,25 +1,22 @@
-"""The leaf that feeds the console of a shape prediction: slices and the needle's deflection."""
+"""Screen of a shape prediction on a console: slices and the needle's deflection."""
 
 import math
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.common.value import Value
 from pydrake.math import RigidTransform
-from pydrake.systems.framework import Context, LeafSystem
 
 from sonoservo.systems.display.console.history import Frame
 from sonoservo.systems.display.console.readings import Reading, Sample
 from sonoservo.systems.display.console.slices import SlicePicture
+from sonoservo.systems.display.shape_view import ShapeSight
 from sonoservo.systems.signals.confidence import RADIUS_95
 from sonoservo.systems.signals.cross_section import CrossSection
 from sonoservo.systems.signals.image_slice import ImageSlice
 from sonoservo.systems.signals.immutable import NotFound
-from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.needle_estimate import TrackingMode
 from sonoservo.systems.signals.needle_shape import NeedleShape
-from sonoservo.systems.signals.ports import declare_inputs, evaluate
 
 if TYPE_CHECKING:  # a run without a page does not import it
     from sonoservo.systems.display.console.console import Console
@@ -27,83 +24,47 @@ if TYPE_CHECKING:  # a run without a page does not import it
 Floats = NDArray[np.float64]
 
 _POINTS = 41
+# Marks of the world, by the class of their colour in the page, and their words.
 _LEGEND = ("steel needle", "tracking predicted", "force 95 % of it", "cross-section found here")
-"""Marks of the world, by the class of their colour in the page, and their words."""
-
 PATHS = ("depth", "x", "x_low", "x_high", "y", "y_low", "y_high")
 """Columns of the predicted path: depth, and the mean and 95 % of the deflection along X and Y."""
 
 
-class ShapeFeed(LeafSystem):
+class ShapePage:
     """Shows each slice with the cross-section in it, and the deflection over depth, on a console.
 
-    .. pydrake_system::
-
-        name: ShapeFeed
-        input_ports:
-        - needle
-        - X_WT
-        - slice
-        - cross_section
-        - shape
-
-    The ports are those of `ShapeView`. The deflection is that from the first cross-section, along
-    X and along Y of the probe at the first slice: what was predicted with its 95 %, what was found
-    in each slice, and the true needle so far.
-
-    Parameters
-    ----------
-    console
-        Console to feed.
-    depth
-        Depth down to which the shape is predicted, in m.
-    period, offset
-        Period of the slices and time of the first one, in s: shortly after the estimator's events.
+    The deflection is that from the first cross-section, along X and along Y of the probe at the
+    first slice: what was predicted with its 95 % down to a depth in m, what was found in each
+    slice, and the true needle so far.
     """
 
-    def __init__(
-        self, *, console: "Console", depth: float, period: float, offset: float = 0.0
-    ) -> None:
-        super().__init__()
+    def __init__(self, *, console: "Console", depth: float) -> None:
         self._console = console
         self._depths = np.linspace(0, depth, _POINTS)
-        console.say(
+
+    def start(self) -> None:
+        """Forget an earlier run."""
+        self._console.say(
             without=["second", "planes", "features", "angle", "force", "probability", "mode"],
             legend=_LEGEND,
         )
-        self.DeclareAbstractInputPort("X_WT", Value(RigidTransform()))
-        declare_inputs(
-            self,
-            needle=Needle,
-            slice=(ImageSlice, NotFound),
-            cross_section=(CrossSection, NotFound),
-            shape=(NeedleShape, NotFound),
-        )
-        self._start()
-        self.DeclareInitializationPublishEvent(publish=lambda context: self._start())
-        self.DeclarePeriodicPublishEvent(period, offset, self._publish)
-        self.DeclareForcedPublishEvent(self._publish)
-
-    def _start(self) -> None:
         self._first: RigidTransform | None = None
         self._origin: Floats | None = None
         self._found: list[list[float]] = []
         self._number = 0
         self._time = -math.inf
 
-    def _publish(self, context: Context) -> None:
-        image = evaluate(self, context, "slice", (ImageSlice, NotFound))
+    def show(self, seen: ShapeSight) -> None:
+        """Show the slice, if it is new."""
+        image, found, shape = seen.image, seen.found, seen.shape
         if not isinstance(image, ImageSlice) or image.time <= self._time:
             return
         self._time, self._number = image.time, self._number + 1
         self._first = self._first or image.X_WP
-        found = evaluate(self, context, "cross_section", (CrossSection, NotFound))
-        shape = evaluate(self, context, "shape", (NeedleShape, NotFound))
-        needle = evaluate(self, context, "needle", Needle)
-        X_WT = evaluate(self, context, "X_WT", RigidTransform)
-        shaft = self._first.inverse().multiply(X_WT.multiply(needle.shaft.T)).T.reshape(-1, 3)
+        into_first = self._first.inverse()
+        shaft = into_first.multiply(seen.X_WT.multiply(seen.needle.shaft.T)).T.reshape(-1, 3)
         if isinstance(found, CrossSection):
-            place = self._first.inverse().multiply(found.position)
+            place = into_first.multiply(found.position)
             if self._origin is None:
                 self._origin = place[:2]
             self._found.append(place.tolist())
@@ -115,7 +76,7 @@ class ShapeFeed(LeafSystem):
         self._console.show_frame(
             Frame(self._number, image.time, mode, [picture], image.decibels_per_level, paths)
         )
-        self._console.add(self._sample(context.get_time(), image, found, shape, shaft))
+        self._console.add(self._sample(seen.time, image, found, shape, shaft))
 
     def _paths(self, shape: NeedleShape | NotFound, shaft: Floats) -> dict[str, list[float]]:
         """Return columns in mm: the predicted path, those found, and the true one; see `PATHS`."""
