@@ -42,26 +42,26 @@ field of view to the ends."""
 
 
 _WEIGHTS = {
-    "constant": 0.66,
-    "evidence": 2.02,
-    "clutter": -3.00,
-    "short": -0.37,
-    "streak": -16.34,
-    "fall": 3.35,
-    "entry gap": -0.49,
-    "tip at edge": -2.57,
-    "width": 2.61,
-    "aside": 0.37,
-    "around": -23.72,
-    "above": 2.90,
-    "outside": 10.65,
-    "behind": -0.56,
-    "border": -1.75,
-    "rim": -9.14,
+    "constant": -0.02,
+    "evidence": 1.90,
+    "clutter": -2.35,
+    "short": 2.15,
+    "streak": -15.75,
+    "fall": 2.66,
+    "entry gap": -0.47,
+    "tip at edge": -1.24,
+    "width": 1.44,
+    "aside": -2.04,
+    "around": -19.78,
+    "above": 0.24,
+    "outside": 14.72,
+    "behind": -0.65,
+    "border": -1.27,
+    "rim": -11.50,
 }
 """Weights of a line's looks in the logarithm of the odds that it is the needle of a volume, rather
 than that there is none, if every second volume has one. They are those of a conditional logit (a
-volume has one needle or none) on the lines of own scans and painted images, seeds 1000 to 1299, two
+volume has one needle or none) on the lines of own scans and painted images, seeds 1000 to 1259, two
 of three, made and fitted by ``python -m looks_study`` (tests/helpers)."""
 
 

@@ -143,7 +143,8 @@ class Canvas:
             side = np.argmax(starts)
             if side != 1 and last - first > 20e-3:
                 break
-        length = self.rng.uniform(15e-3, 0.95 * (last - first))
+        # One in five goes on through the volume.
+        length = min(self.rng.uniform(15e-3, 1.2 * (last - first)), last - first)
         ends = middle + np.outer([first, first + length], k)
         here = self._rod(*ends, self.rng.uniform(0.4e-3, 0.75e-3))
         level = self.rng.uniform(6, 26) - 0.12 * max(np.degrees(dip) - 20, 0)
@@ -162,6 +163,8 @@ class Canvas:
         count = rng.integers(1, 7) if rng.random() < 0.5 else 0
         for name in rng.choice(names, count):
             getattr(self, name)()
+        if rng.random() < 0.2:  # water
+            self.diffuse *= 0.02
         ends = self.needle() if needle else None
         noise = rng.normal(size=(4, *SHAPE)).astype(np.float32)
         echo = self.diffuse * (noise[0] + 1j * noise[1])
