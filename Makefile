@@ -55,7 +55,7 @@ fuzz: $(VENV)/.installed.dev
 
 bench: $(VENV)/.installed.dev $(VENV)/.compiled
 	@mkdir -p out
-	@$(BIN)/python -m pytest tests/benchmarks -m "not slow or bench" --benchmark-enable --benchmark-only --benchmark-json=out/bench.json $(ARGS)
+	@$(BIN)/python -m pytest tests/benchmarks -m "not slow or bench" --benchmark-enable --benchmark-only --benchmark-min-rounds=3 --benchmark-max-time=0.5 --benchmark-json=out/bench.json $(ARGS)
 	@$(BIN)/python tests/benchmarks/plot_cost.py out/bench.json out/render_cost.png
 
 docs: $(VENV)/.compiled

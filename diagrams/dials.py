@@ -1,12 +1,16 @@
 """Dials of the harder world: what makes images and instruments of a clinic hard."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from sonoservo.systems.files.typed_yaml import read_yaml
+
+_WEAKEST = 0.1  # smallest strength of a dial that is on
 
 
 @dataclass(frozen=True)
@@ -44,3 +48,12 @@ def load_dials() -> dict[str, Dial]:
     """Return all dials by name."""
     path = Path(str(files("sonoservo.diagrams"))) / "dials.yaml"
     return {name: Dial(**each) for name, each in read_yaml(path).items()}
+
+
+def draw_dials_on(rng: np.random.Generator) -> Iterator[tuple[str, Dial, float]]:
+    """Draw which dials are on, half of all in random order, with strengths from 0.1 to 1."""
+    dials = load_dials()
+    for name in rng.permutation(sorted(dials)):
+        on, strength = rng.random() < 0.5, float(rng.uniform(_WEAKEST, 1))
+        if on:
+            yield str(name), dials[name], strength

@@ -40,29 +40,13 @@ ALL = "all suites"  # name of the scores over all suites
 
 @dataclass(frozen=True, kw_only=True)
 class BenchmarkOptions:
-    """Options of the benchmark.
-
-    Parameters
-    ----------
-    folder
-        Folder of its files.
-    suites
-        Names of the suites; all of them if none is named.
-    quick
-        Whether to take the first sequence of each suite only.
-    salt
-        Number that draws other sequences; 0 for those on which results are reported.
-    sequences
-        Number of sequences in a suite; by default, all of them.
-    jobs, cluster, console
-        See `run_cases`.
-    """
+    """Options of the benchmark; see `run_cases` for the last ones."""
 
     folder: Path
-    suites: Sequence[str] = ()
-    quick: bool = False
-    salt: int = 0
-    sequences: int | None = None
+    suites: Sequence[str] = ()  # all of them if none is named
+    quick: bool = False  # the first sequence of each suite only
+    salt: int = 0  # draws other sequences; 0 for reporting
+    sequences: int | None = None  # in a suite; by default, all of them
     jobs: int = -1
     cluster: Executor | None = None
     console: Console | None = None
@@ -83,16 +67,7 @@ class BenchmarkOptions:
 
 @dataclass(frozen=True)
 class BenchmarkResult:
-    """Results of the benchmark.
-
-    Parameters
-    ----------
-    data
-        Contents of benchmark.json: `scores` by tracker, suite and figure, `reliability` by tracker,
-        the records of all sequences, and what they were made with.
-    outcomes
-        Outcomes of all sequences.
-    """
+    """Results of the benchmark: contents of benchmark.json, and outcomes of all sequences."""
 
     data: dict[str, Any]
     outcomes: list[Outcome] = field(repr=False)
@@ -104,22 +79,7 @@ class BenchmarkResult:
 
 
 def run_benchmark(trackers: Sequence[str], options: BenchmarkOptions) -> BenchmarkResult:
-    """Score trackers on the suites.
-
-    All trackers see the same volumes. Finished sequences are kept, so that a second call goes on.
-
-    Parameters
-    ----------
-    trackers
-        Trackers; see `resolve_entrant`.
-    options
-        Suites, seeds, folder and processes.
-
-    Raises
-    ------
-    ConfigurationError
-        If a tracker, a suite or a number is not allowed.
-    """
+    """Score trackers (`resolve_entrant`) on the same volumes; a second call goes on."""
     plain = options.cases()
     names = [sequence_name(case.experiment, case.seed) for case in plain]
     entrants = [resolve_entrant(each, dict.fromkeys(names)) for each in trackers]

@@ -32,25 +32,9 @@ _FORCE = 2.0  # contact force in N that the planned indentation stands for
 def make_volumes(
     options: BenchmarkOptions, formats: tuple[str, ...] = FORMATS, store: str | None = None
 ) -> list[Outcome]:
-    """Write the sequences; finished ones are kept, so that a second call goes on.
+    """Write the sequences, a manifest, checksums and README.md; a second call goes on.
 
-    Parameters
-    ----------
-    options
-        Suites, seeds, folder and processes.
-    formats
-        Some of the `FORMATS`.
-    store
-        Folder or URL of fsspec that the workers of a cluster write to; see `Store`.
-
-    Returns
-    -------
-    Outcomes of the sequences. The folder holds manifest.json, SHA256SUMS and README.md.
-
-    Raises
-    ------
-    ConfigurationError
-        If a format, a suite or a number is not allowed.
+    `formats`: some of the `FORMATS`; `store`: folder or URL of fsspec that a cluster writes to.
     """
     for each in formats:
         if each not in FORMATS:

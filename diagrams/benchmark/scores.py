@@ -13,10 +13,7 @@ from sonoservo.diagrams.benchmark.estimates import Estimated, log_of_estimates
 from sonoservo.diagrams.studies.robustness.runs import as_in_probe
 from sonoservo.diagrams.studies.run_group import RunGroup, Value, pooled, quantile_of
 from sonoservo.diagrams.studies.study_report import interval_text
-from sonoservo.systems.evaluation.intervals import (
-    count_interval,
-    proportion_interval,
-)
+from sonoservo.systems.evaluation.intervals import count_interval, proportion_interval
 from sonoservo.systems.evaluation.metrics import MetricsParameters, detection
 from sonoservo.systems.evaluation.run_errors import inside_stated
 from sonoservo.systems.evaluation.run_log import RunLog

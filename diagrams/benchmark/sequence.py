@@ -8,24 +8,16 @@ from typing import Any
 
 import numpy as np
 from pydrake.math import RigidTransform
-from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import DiagramBuilder, System
 
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
-from sonoservo.diagrams.experiments.following_scene import (
-    imaging_systems,
-    make_scene,
-    observer_events,
-)
+from sonoservo.diagrams.experiments.following_scene import make_scene, observer_events
 from sonoservo.diagrams.scenario import draw_seeds
 from sonoservo.diagrams.studies.robustness.graded_dials import PLAIN, scenario_of
-from sonoservo.diagrams.studies.robustness.planned_motion import MakeMeasuredMotion, MotionPlan
-from sonoservo.diagrams.wiring import connect_by_name
+from sonoservo.diagrams.studies.robustness.planned_motion import MotionPlan, simulate_planned
 from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.evaluation.run_logger import RunLogger
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.typed_yaml import read_yaml, suggest
-from sonoservo.systems.needle.hand import Hand
 from sonoservo.systems.recording.volume_collector import VolumeCollector
 from sonoservo.systems.signals.requirements import require
 from sonoservo.systems.signals.volume import Volume
@@ -76,26 +68,15 @@ def _acquire(scenario: FollowingScenario) -> Sequence:
     plan = LiftedPlan(scenario, scene.insertion)
     logger = RunLogger(geometry=scene.geometry)
     collector = VolumeCollector(**looks)
-    systems: dict[str, System] = {
-        "measured_motion": MakeMeasuredMotion(scenario=scenario, plan=plan),
-        **scene.reacting({"hand": Hand(insertion=scene.insertion)}),
-        **imaging_systems(scenario, scene),
-        "volume_collector": collector,
-        "run_logger": logger,
-    }
-    builder = DiagramBuilder()
-    for name, system in systems.items():
-        builder.AddNamedSystem(name, system)
     unlogged = {logger.get_input_port(k).get_name() for k in range(logger.num_input_ports())}
-    connect_by_name(
-        builder,
-        systems,
-        optional={"deformation", *unlogged},
-        sees_truth={"hand", "scanner", "run_logger"},
+    simulator = simulate_planned(
+        scenario,
+        scene,
+        plan,
+        {"volume_collector": collector, "run_logger": logger},
+        until=plan.lifted[1] + _AFTER,
+        optional=unlogged,
     )
-    simulator = Simulator(builder.Build())
-    simulator.Initialize()
-    simulator.AdvanceTo(plan.lifted[1] + _AFTER)
     context = simulator.get_context()
     return Sequence(
         volumes=collector.volumes(collector.GetMyContextFromRoot(context)),
@@ -113,21 +94,9 @@ _SALTED = 1000  # distance of the seeds of one salt from those of the next
 
 @dataclass(frozen=True)
 class Suite:
-    """One difficulty of the benchmark.
+    """One difficulty of the benchmark: changes in a scenario, and a phantom with changed fields."""
 
-    Parameters
-    ----------
-    line
-        Description for a person.
-    scenario
-        Scenario that it changes; for fig. 5 of Chatelain 2013, the changes `PLAIN` come first.
-    changes
-        Assignments in the scenario.
-    phantom, phantom_changes
-        Phantom that replaces the scenario's, and fields of its file.
-    """
-
-    line: str
+    line: str  # description for a person
     scenario: str = "chatelain2013_fig5"
     changes: tuple[str, ...] = ()
     phantom: str = ""

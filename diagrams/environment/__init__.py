@@ -7,5 +7,5 @@ from lazy_loader import attach_stub
 
 __getattr__, __dir__, __all__ = attach_stub(__name__, __file__)
 
-if "gymnasium" in sys.modules:  # it imports what stands before the colon of an environment's name
+if sys.modules.get("gymnasium"):  # it imports what stands before the colon of an environment's name
     import_module(f"{__name__}.follow_needle")

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context
 
-from sonoservo.diagrams.dials import load_dials
+from sonoservo.diagrams.dials import draw_dials_on
 from sonoservo.diagrams.environment.commanded_velocity import CommandedVelocity
 from sonoservo.diagrams.environment.reward import (
     ActionScale,
@@ -172,12 +172,10 @@ class FollowNeedle(DrakeGymEnv):
             return []
         changes: list[str] = []
         taken: set[str] = set()
-        dials = load_dials()
-        for name in self.np_random.permutation(sorted(dials)):
-            on, strength = self.np_random.random() < 0.5, self.np_random.uniform(0.1, 1)
-            if on and not taken & dials[name].moderate.keys():
-                taken |= dials[name].moderate.keys()
-                changes += dials[name].changes(float(strength * self._randomize))
+        for _, dial, strength in draw_dials_on(self.np_random):
+            if not taken & dial.moderate.keys():
+                taken |= dial.moderate.keys()
+                changes += dial.changes(strength * self._randomize)
         return changes
 
     def _setup(self) -> None:

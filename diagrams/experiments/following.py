@@ -128,10 +128,7 @@ class FollowingExperiment(Experiment[FollowingScenario]):
         kind = type(tracker)
         self._own_tracker = f"{kind.__module__}.{kind.__qualname__}" if tracker else ""
         self.needle_tracker = require_tracker(tracker) or MakeNeedleTracker(
-            parameters=scenario.tracker,
-            period=period,
-            offset=offset,
-            seed=seeds.tracker,
+            parameters=scenario.tracker, period=period, offset=offset, seed=seeds.tracker
         )
         self.probe_controller = MakeProbeController(
             parameters=scenario.controller,
@@ -188,10 +185,7 @@ class FollowingExperiment(Experiment[FollowingScenario]):
             {**systems, **observers},
             period=period,
             offset=offset,
-            stages={
-                "render": (self.scanner, "sweep"),
-                "convert": (self.scan_converter, "volume"),
-            },
+            stages={"render": (self.scanner, "sweep"), "convert": (self.scan_converter, "volume")},
             event="track",
             background={"render": lambda: scanner.work_s},
             optional=(

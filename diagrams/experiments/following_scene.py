@@ -20,11 +20,7 @@ from sonoservo.systems.display.console.controls import Control, controller_contr
 from sonoservo.systems.display.console.operator_panel import OperatorPanel
 from sonoservo.systems.needle.hand import Hand
 from sonoservo.systems.needle.insertion import Insertion
-from sonoservo.systems.needle.insertion_parameters import (
-    OUTER_DIAMETER,
-    InsertionParameters,
-    Push,
-)
+from sonoservo.systems.needle.insertion_parameters import OUTER_DIAMETER, InsertionParameters, Push
 from sonoservo.systems.robot.phantom import PhantomMotion
 from sonoservo.systems.robot.phantom_motion import phantom_trajectory
 from sonoservo.systems.robot.probe_body import distance_to_probe

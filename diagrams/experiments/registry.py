@@ -24,10 +24,7 @@ if TYPE_CHECKING:
     from sonoservo.diagrams.experiments.presenter import Presenter
     from sonoservo.diagrams.scenario import Scenario
 
-EXPERIMENTS: Mapping[str, str] = {
-    "following": "Following",
-    "shape_prediction": "ShapePrediction",
-}
+EXPERIMENTS: Mapping[str, str] = {"following": "Following", "shape_prediction": "ShapePrediction"}
 """Beginning of the names of each experiment's classes, by the name of its module."""
 
 

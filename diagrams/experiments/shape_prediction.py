@@ -23,10 +23,7 @@ from sonoservo.systems.display.shape_view import ShapeScreen, ShapeView
 from sonoservo.systems.display.world.shape_world import ShapeWorld
 from sonoservo.systems.evaluation.log import Row
 from sonoservo.systems.evaluation.shape.shape_metrics import ShapeLog, summarize_shape
-from sonoservo.systems.evaluation.shape.shape_plots import (
-    SlicePicture,
-    picture_slice,
-)
+from sonoservo.systems.evaluation.shape.shape_plots import SlicePicture, picture_slice
 from sonoservo.systems.needle.hand import Hand
 from sonoservo.systems.needle.insertion import Insertion
 from sonoservo.systems.needle.insertion_parameters import OUTER_DIAMETER

@@ -14,11 +14,7 @@ from sonoservo.systems.shape.shape_filters import ShapeFilterChoice
 from sonoservo.systems.shape.shape_least_squares import ShapeLeastSquaresParameters
 from sonoservo.systems.shape.shape_parameters import ShapeEstimatorParameters
 from sonoservo.systems.shape.shape_posterior import ShapeParticleFilterParameters
-from sonoservo.systems.signals.requirements import (
-    Positive,
-    require,
-    require_not_negative,
-)
+from sonoservo.systems.signals.requirements import Positive, require, require_not_negative
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
 from sonoservo.systems.ultrasound.simulation.needles.needle_kind import NEEDLE
 from sonoservo.systems.ultrasound.simulation.scanner_parameters import ScannerParameters

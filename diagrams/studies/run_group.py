@@ -8,11 +8,7 @@ from typing import Generic, Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.systems.evaluation.intervals import (
-    count_interval,
-    proportion_interval,
-    run_interval,
-)
+from sonoservo.systems.evaluation.intervals import count_interval, proportion_interval, run_interval
 
 Floats = NDArray[np.float64]
 RunT = TypeVar("RunT")

@@ -22,30 +22,11 @@ DIED = "its process died"  # error of a case that ends its process
 
 @dataclass(frozen=True, kw_only=True)
 class StudyOptions:
-    """Options of the reproduction of any paper.
+    """Options of the reproduction of any paper; see `run_cases` for the last ones."""
 
-    Parameters
-    ----------
-    folder
-        Folder of the study's files.
-    quick
-        Whether to make a few short runs only, as a functional check.
-    seeds
-        Largest number of seeds of an experiment; None for the study's own numbers.
-    first_seed
-        First seed of each experiment. Seeds below 100 are for reporting; parameters are tuned on
-        others.
-    jobs
-        Number of processes; -1 for one per core.
-    cluster
-        Cluster to run the cases on instead, if any.
-    console
-        Console on which to show progress, if any.
-    """
-
-    folder: Path
-    quick: bool = False
-    seeds: int | None = None
+    folder: Path  # of the study's files
+    quick: bool = False  # a few short runs only, as a functional check
+    seeds: int | None = None  # largest number of seeds of an experiment
     first_seed: Annotated[int, at_least(0)] = 0
     jobs: int = -1
     cluster: "Executor | None" = None
@@ -65,25 +46,10 @@ class StudyOptions:
 
 @dataclass(frozen=True)
 class Case:
-    """One run of a study; it is hashable, and compares by its contents.
+    """One run of a study; it is hashable, and compares by its contents."""
 
-    Parameters
-    ----------
-    experiment
-        Name of the study's experiment that it belongs to.
-    seed
-        Random seed of the run.
-    settings
-        Further settings of the run, in types that JSON has.
-
-    Raises
-    ------
-    TypeError
-        If JSON cannot hold the settings.
-    """
-
-    experiment: str
-    seed: int
+    experiment: str  # name of the study's experiment that it belongs to
+    seed: int  # random seed of the run
     settings: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -106,28 +72,12 @@ class Case:
 
 @dataclass(frozen=True)
 class Outcome:
-    """Outcome of a case; falsy if the case failed.
-
-    Parameters
-    ----------
-    case
-        Case that was run.
-    result
-        Return value of the work, in types that JSON has; empty if it failed.
-    error
-        Error message; empty if it did not fail.
-    wall_s
-        Wall-clock time of the run, in s.
-    files
-        Size in bytes (`bytes`) and digest (`sha256`) of each of its files, by name in the store.
-    made_by
-        Identity of the code and the libraries that made it; see `fingerprint.made_by`.
-    """
+    """Outcome of a case; falsy if the case failed."""
 
     case: Case
     result: Mapping[str, Any] = field(default_factory=dict)
-    error: str = ""
-    wall_s: float = 0.0
+    error: str = ""  # message; empty if it did not fail
+    wall_s: float = 0.0  # wall-clock time, in s
     files: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     made_by: Mapping[str, str] = field(default_factory=dict)
 
@@ -163,11 +113,7 @@ class Executor(Protocol):
         """Number of cases that can run at the same time now."""
 
     def run(
-        self,
-        work: Work,
-        cases: Sequence[Case],
-        store: Store,
-        notify: Callable[[str], None],
+        self, work: Work, cases: Sequence[Case], store: Store, notify: Callable[[str], None]
     ) -> Generator[Finished]:
         """Run cases, and yield each as it ends, in any order; closing the iterator ends all."""
 

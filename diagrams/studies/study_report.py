@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 
 from sonoservo.diagrams.studies.fingerprint import made_with
 from sonoservo.diagrams.studies.records import present_commit
+from sonoservo.diagrams.studies.run_group import Value
 from sonoservo.diagrams.studies.study import Outcome
 from sonoservo.systems.evaluation.intervals import proportion_interval
 from sonoservo.systems.evaluation.reports.plots import png
@@ -71,32 +72,16 @@ def summary_of(verdicts: Collection[Verdict]) -> str:
 class StudyRow:
     """One quantity of a study: the paper's figure, ours, the published method's, and the target.
 
-    Parameters
-    ----------
-    experiment, quantity, unit
-        Experiment, quantity with its conditions, and unit to display.
-    paper
-        Figure of the publication; None if there is none.
-    estimated
-        Simulated value from the estimates of tracker or controller, as a real experiment could
-        report it.
-    true
-        Simulated value from ground truth.
-    low, high
-        95 % confidence interval of the true value over runs, or of the estimated one without it.
-        Infinite ends: too few runs to tell. None: no interval was computed.
-    published_estimated, published_true, published_low, published_high
-        The same figures of the published method as published, on the same seeds.
-    target
-        Target, for the true value or, without one, for the estimated value.
-    wanted
-        Side of the target on which the value must lie.
+    Figures are `estimated`, as a real experiment could report them, or `true`, from ground truth.
+    An interval is that of the true figure, or of the estimated one without it; infinite ends tell
+    that there were too few runs, None that none was computed. The target is one for the same
+    figure.
     """
 
     experiment: str
-    quantity: str
+    quantity: str  # with its conditions
     unit: str = ""
-    paper: float | None = None
+    paper: float | None = None  # figure of the publication
     estimated: float | None = None
     true: float | None = None
     low: float | None = None
@@ -106,7 +91,32 @@ class StudyRow:
     published_low: float | None = None
     published_high: float | None = None
     target: float | None = None
-    wanted: Side = "at most"
+    wanted: Side = "at most"  # side of the target on which the value must lie
+
+    @classmethod
+    def of(
+        cls,
+        experiment: str,
+        quantity: str,
+        unit: str,
+        ours: Value,
+        published: Value | None = None,
+        *,
+        target: float | None = None,
+        wanted: Side = "at most",
+        paper: float | None = None,
+    ) -> "StudyRow":
+        """Return the row of a figure; of a share, its target only if so many runs can tell."""
+        theirs = published or Value()
+        if target is not None and ours.share_of is not None:
+            target = target if can_be_judged(ours.share_of, target, wanted) else None
+        return cls(
+            experiment=experiment, quantity=quantity, unit=unit, paper=paper,
+            true=ours.true, estimated=ours.estimated, low=ours.low, high=ours.high,
+            published_true=theirs.true, published_estimated=theirs.estimated,
+            published_low=theirs.low, published_high=theirs.high,
+            target=target, wanted=wanted,
+        )  # fmt: skip
 
     @property
     def named(self) -> str:
@@ -133,30 +143,12 @@ class StudyFigure:
 
 @dataclass(frozen=True, kw_only=True)
 class Study:
-    """Results of the reproduction of a paper.
+    """Results of the reproduction of a paper."""
 
-    Parameters
-    ----------
-    paper
-        Name of the paper's package.
-    title
-        Authors, title and place of publication.
-    rows
-        Rows, in the order in which they are shown.
-    outcomes
-        Outcomes of all cases, including failures.
-    figures
-        Figures, in the order in which they are shown.
-    compute_ms
-        Computing times in ms, by stage: {"median": ..., "max": ...}.
-    notes
-        Notes needed to interpret the rows, one paragraph each.
-    """
-
-    paper: str
-    title: str
-    rows: Sequence[StudyRow]
-    outcomes: Sequence[Outcome]
+    paper: str  # name of its package
+    title: str  # authors, title and place of publication
+    rows: Sequence[StudyRow]  # in the order in which they are shown
+    outcomes: Sequence[Outcome]  # of all cases, including failures
     figures: Sequence[StudyFigure] = ()
     compute_ms: Mapping[str, Mapping[str, float | None]] = field(default_factory=dict)
     notes: Sequence[str] = ()

@@ -3,7 +3,10 @@
 import math
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
+
+from sonoservo.systems.sampling.kernels import OPTIONS
 
 LONGEST = 0.4
 """Longest latency in s that is measured."""
@@ -32,14 +35,30 @@ def next_correlation(
     nearly all of what is measured, at the size expected, and nearly all of what was expected could
     have been measured by then; a contact that changes meanwhile leaves the latency unknown.
     """
-    past = np.concatenate([[expected], state[0, :-1]])
-    added = np.stack([measured * past, past * past, np.full_like(past, measured**2)])
-    after = np.concatenate([past[np.newaxis], (1 - time_step / _MEMORY) * state[1:] + added])
-    _, products, squares, energy = after
-    if not squares.max() > _FELT**2 or not energy[0] > 0:
-        return after, math.nan
-    explained = np.where(squares > _FELT**2, products**2 / (squares + 1e-12) / energy, 0.0)
-    best = int(np.argmax(explained))
-    found = explained[best] > _EXPLAINED and abs(products[best] / squares[best] - 1) < _ALIKE
-    complete = squares[best] > _EXPLAINED * squares.max()
-    return after, best * time_step if found and complete else math.nan
+    after = np.empty_like(state)
+    best, found = _correlate(after, state, expected, measured, 1 - time_step / _MEMORY)
+    return after, best * time_step if found else math.nan
+
+
+@njit(**OPTIONS)
+def _correlate(after, state, expected, measured, kept):  # type: ignore[no-untyped-def]
+    """Write the next state; return the lag that explains most, and if it is believed."""
+    best, most, largest = 0, -1.0, 0.0
+    for m in range(state.shape[1]):
+        past = expected if m == 0 else state[0, m - 1]
+        after[0, m] = past
+        after[1, m] = kept * state[1, m] + measured * past
+        after[2, m] = kept * state[2, m] + past * past
+        after[3, m] = kept * state[3, m] + measured**2
+        products, squares, energy = after[1, m], after[2, m], after[3, m]
+        largest = max(largest, squares)
+        explained = 0.0
+        if squares > _FELT**2:
+            explained = products**2 / (squares + 1e-12) / energy
+        if explained > most:
+            best, most = m, explained
+    products, squares, energy = after[1, best], after[2, best], after[3, best]
+    if not largest > _FELT**2 or not energy > 0:
+        return best, False
+    alike = abs(products / squares - 1) < _ALIKE
+    return best, most > _EXPLAINED and alike and squares > _EXPLAINED * largest

@@ -22,11 +22,7 @@ from sonoservo.systems.evaluation.run_errors import (
 from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.evaluation.success import TrackedVolumes, from_needle, run_outcome
 from sonoservo.systems.signals.needle_estimate import TrackingMode
-from sonoservo.systems.signals.requirements import (
-    Positive,
-    check_bounds,
-    require_not_negative,
-)
+from sonoservo.systems.signals.requirements import Positive, check_bounds, require_not_negative
 from sonoservo.systems.signals.search_reason import ReasonCount
 
 
@@ -329,11 +325,7 @@ def spread(values: Floats) -> dict[str, float | None]:
     """Return the median, 95th percentile and maximum of the finite values; None without any."""
     values = values[np.isfinite(values)]
     p95 = np.percentile(values, 95) if len(values) else np.nan
-    return {
-        "median": _number(_median(values)),
-        "p95": _number(p95),
-        "max": _number(_max(values)),
-    }
+    return {"median": _number(_median(values)), "p95": _number(p95), "max": _number(_max(values))}
 
 
 def _number(value: Any) -> float | None:

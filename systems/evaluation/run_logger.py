@@ -76,34 +76,24 @@ class RunLogger(LeafSystem):
         - hold_reason (optional)
         - volume_check (optional)
 
-    Every port may stay unconnected; its values are then missing in the log. `X_WP`, `true_X_WP` and
-    `X_WT` are RigidTransforms: the measured and the true pose of the probe, and the pose of the
-    phantom. If `true_X_WP` is not connected, `X_WP` is logged as the true pose too.
-    `motion_record` is the MotionRecord of the volume that the tracker processed last, or a
-    NotFound. `needle` is the true Needle in T, `estimate` a NeedleEstimate, `measurement` a
-    NeedleMeasurement or a NotFound, `wrist_force` a SpatialForce and `contact_force` a force in N.
-    `detection` may hold any value: it is logged as True or False, and the reason of a NotFound is
-    kept. `joint_state` holds the positions, then the velocities, of the arm's joints in rad and
-    rad/s. `planar_velocity` holds v_x and v_z in m/s and omega_y in rad/s, in P. `guard` is a
-    GuardStatus, `hold_reason` the text of a VisualServo and `volume_check` a VolumeCheck.
+    Every port may stay unconnected; its values are then missing. Without `true_X_WP`, `X_WP` is
+    logged as the true pose too. `motion_record`, `measurement` and `detection` are those from which
+    the estimate was made; a row is added whenever the estimate names a newer volume, and no volume
+    is computed for it. `needle` is in T, `joint_state` in rad and rad/s, `planar_velocity` v_x, v_z
+    and omega_y of P.
 
-    `measurement` and `detection` are those from which the estimate was made: a tracker holds them
-    until its next volume. The log therefore adds a row whenever the estimate names a newer volume,
-    and never causes a volume to be computed.
-
-    The log is kept in the context, in a cache entry like that of Drake's `VectorLogSink`, so
-    several contexts do not interfere. It is cleared whenever a simulator is initialised. With
-    everything connected and the default period, it grows by 2 MB a simulated minute.
+    The log is kept in the context and cleared whenever a simulator is initialised; it grows by 2 MB
+    a simulated minute.
 
     Parameters
     ----------
     period
         Time between samples, in s.
     volume_period, volume_offset
-        Period of additional checks for a new volume, and time of the first one, in s. Choose them
-        shortly after the tracker's events if the log is to hold their times exactly.
+        Period of additional checks for a new volume, and time of the first one, in s: shortly after
+        the tracker's events.
     joints
-        Number of joints of the arm; `joint_state` has twice as many elements.
+        Number of joints of the arm.
     geometry
         Geometry of the sweeps, which bounds the part of the needle in view.
     """

@@ -4,6 +4,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum, IntEnum
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -39,6 +40,9 @@ _LATE = 15e-3  # delay of poses in s that shows: a probe at 30 mm/s moves half a
 
 _DISPLACED, _TURNED_DEG = 2e-3, 2.0
 """Error of a calibration, in m and deg, that shows in a needle's place."""
+
+
+_TRACKER = "look at the tracker: is the tool in its sight?"
 
 
 class Check(Enum):
@@ -80,16 +84,71 @@ class Finding:
         return f"{self.check.value}: {self.text}" + (f"; {self.advice}" if self.advice else "")
 
 
+class _Fault(Enum):
+    """What may be wrong with a source: subject, gravity, what is said, and what to do."""
+
+    NO_TIME = (Check.RATE, Grade.WRONG, "no time stamp of {count} {what} advances",
+               "let the program that acquires them write the time of each")  # fmt: skip
+    JITTER = (Check.RATE, Grade.DOUBTFUL, "the time between two {what} varies by {share:.0f} %",
+              "let time stamps be those of acquisition, not of arrival or of writing")  # fmt: skip
+    GAPS = (Check.RATE, Grade.DOUBTFUL,
+            "gaps: {gaps}, the longest {longest:.3g} s; about {missing} {what} are missing",
+            "acquire at a rate that disk and network keep up with")  # fmt: skip
+    CLOCK = (Check.CLOCK, Grade.DOUBTFUL,
+             "{odd} time stamps are missing, repeated or run back; these {what} are left out",
+             "look at the clock of the program that acquires them")  # fmt: skip
+    NO_MATRIX = (Check.MATRIX, Grade.WRONG, "{name}: no matrix is valid", _TRACKER)
+    EMPTY_AXIS = (Check.MATRIX, Grade.WRONG, "{name}: a matrix has an empty axis", _TRACKER)
+    SKEW = (Check.MATRIX, Grade.WRONG,
+            "{name}: its axes are not at right angles ({skew:.2g} deg)",
+            "calibrate again, or take the matrix of the calibration that was accepted")  # fmt: skip
+    SCALES = (Check.MATRIX, Grade.WRONG, "{name} is no rotation: it scales by {sizes}",
+              "a matrix with the size of a pixel belongs to ImageTo...; any other one must be a "
+              "rotation and a position in mm")  # fmt: skip
+    MIRRORED = (Check.MATRIX, Grade.WRONG, "{name} is a reflection",
+                "let the tracker and the calibration both be right-handed")  # fmt: skip
+    UNIT_PIXELS = (Check.MATRIX, Grade.DOUBTFUL,
+                   "{said}, as if nobody had calibrated them",
+                   "calibrate ImageToProbe")  # fmt: skip
+    LOST_POSES = (Check.MOTION, Grade.DOUBTFUL,
+                  "{name}: {lost} of {count} poses are missing or marked invalid",
+                  "keep the probe in the tracker's sight")  # fmt: skip
+    STILL = (Check.MOTION, Grade.DOUBTFUL, "{name} never moves in {count} poses",
+             "if the probe moved, its tracker sends the last pose again and again")  # fmt: skip
+    REPEATED = (Check.MOTION, Grade.DOUBTFUL,
+                "{name}: {share:.0f} % of the poses repeat the one before",
+                "let the tracker measure at least as often as images are taken")  # fmt: skip
+    JUMPS = (Check.MOTION, Grade.DOUBTFUL,
+             "{name} jumps {jumps} times, by up to {most:.3g} mm, faster than 1 m/s",
+             _TRACKER)  # fmt: skip
+    UNIT_SPACING = (Check.SPACING, Grade.DOUBTFUL,
+                    "{shown} mm, which programs write that do not know it",
+                    "look up the size of a voxel, and write it into the header")  # fmt: skip
+    BLANK = (Check.CONTENT, Grade.WRONG, "the volume shows nothing: all of its numbers are one",
+             "look at the scanner's gain and whether it was frozen")  # fmt: skip
+    HOLLOW = (Check.CONTENT, Grade.DOUBTFUL, "{text}",
+              "if it is a reconstruction, sweep more slowly or make its voxels larger; else look "
+              "at gain, threshold and window")  # fmt: skip
+    OTHER_AXIS = (Check.SPECKLE, Grade.DOUBTFUL,
+                  "{text}: it is finest {finest}, as if the sound ran there",
+                  "try another direction of the sound (--depth), and check the spacing of that "
+                  "axis")  # fmt: skip
+    WIDTH = (Check.SPECKLE, Grade.DOUBTFUL,
+             "{text}: {where}, {least:g} to {most:g} mm are usual",
+             "is the spacing in mm, and that of this axis?")  # fmt: skip
+    POSES = (Check.DELAY, Grade.DOUBTFUL, "{text}",
+             "let `sonoservo track --correct-poses` correct them, or calibrate again")  # fmt: skip
+    LATE = (Check.DELAY, Grade.DOUBTFUL, "{text}",
+            "calibrate the delay (in PLUS, the temporal offset of the devices), and record "
+            "again")  # fmt: skip
+
+    def __call__(self, **figures: Any) -> Finding:
+        check, grade, text, advice = self.value
+        return Finding(check, grade, text.format(**figures), advice)
+
+
 def _fine(check: Check, text: str) -> Finding:
     return Finding(check, Grade.FINE, text)
-
-
-def _doubtful(check: Check, text: str, advice: str) -> Finding:
-    return Finding(check, Grade.DOUBTFUL, text, advice)
-
-
-def _wrong(check: Check, text: str, advice: str) -> Finding:
-    return Finding(check, Grade.WRONG, text, advice)
 
 
 def gravest(findings: Iterable[Finding]) -> Finding | None:
@@ -106,49 +165,23 @@ def check_times(times: ArrayLike, what: str = "volumes") -> list[Finding]:
     steps = np.diff(known)
     odd += int((steps <= 0).sum())
     rising = steps[steps > 0]
-    if len(known) and not len(rising):
-        if len(known) == 1:
-            return [_fine(Check.RATE, "a single one, so there is no rate")]
-        return [
-            _wrong(
-                Check.RATE,
-                f"no time stamp of {len(known)} {what} advances",
-                "let the program that acquires them write the time of each",
-            )
-        ]
+    if len(known) == 1:
+        return [_fine(Check.RATE, "a single one, so there is no rate")]
     if not len(rising):
-        return []
+        return [_Fault.NO_TIME(count=len(known), what=what)] if len(known) else []
     period = float(np.median(rising))
     jitter = float(np.sqrt(np.mean(np.clip(rising / period - 1, -_GAP, _GAP - 1) ** 2)))
     rate = f"{1 / period:.3g} {what} a second over {known.max() - known.min():.3g} s"
     findings = [_fine(Check.RATE, f"{rate}, jitter {1e3 * jitter * period:.3g} ms")]
     if jitter > _JITTER:
-        findings.append(
-            _doubtful(
-                Check.RATE,
-                f"the time between two {what} varies by {100 * jitter:.0f} %",
-                "let time stamps be those of acquisition, not of arrival or of writing",
-            )
-        )
+        findings.append(_Fault.JITTER(what=what, share=100 * jitter))
     gaps = rising[rising > _GAP * period]
     if len(gaps):
         missing = int(np.round(gaps / period - 1).sum())
-        findings.append(
-            _doubtful(
-                Check.RATE,
-                f"gaps: {len(gaps)}, the longest {gaps.max():.3g} s; about {missing} {what} are "
-                "missing",
-                "acquire at a rate that disk and network keep up with",
-            )
-        )
+        found = _Fault.GAPS(gaps=len(gaps), longest=gaps.max(), missing=missing, what=what)
+        findings.append(found)
     if odd:
-        findings.append(
-            _doubtful(
-                Check.CLOCK,
-                f"{odd} time stamps are missing, repeated or run back; these {what} are left out",
-                "look at the clock of the program that acquires them",
-            )
-        )
+        findings.append(_Fault.CLOCK(odd=odd, what=what))
     return findings
 
 
@@ -157,56 +190,24 @@ def check_matrices(name: str, matrices: ArrayLike) -> list[Finding]:
     each = np.asarray(matrices, float).reshape(-1, 4, 4)
     each = each[np.isfinite(each).all(axis=(1, 2))]
     if not len(each):
-        return [_wrong(Check.MATRIX, f"{name}: no matrix is valid", _TRACKER)]
+        return [_Fault.NO_MATRIX(name=name)]
     scales = np.linalg.norm(each[:, :3, :3], axis=1)
     if not (scales > 0).all():
-        return [_wrong(Check.MATRIX, f"{name}: a matrix has an empty axis", _TRACKER)]
+        return [_Fault.EMPTY_AXIS(name=name)]
     unit = each[:, :3, :3] / scales[:, np.newaxis]
     skew = float(np.abs(np.swapaxes(unit, 1, 2) @ unit - np.eye(3)).max())
     scale = np.median(scales, axis=0)
-    image = name.startswith("Image")
-    mirrored = bool((np.linalg.det(unit) < 0).any())
     if skew > _NOT_RIGID:
-        return [
-            _wrong(
-                Check.MATRIX,
-                f"{name}: its axes are not at right angles ({np.degrees(skew):.2g} deg)",
-                "calibrate again, or take the matrix of the calibration that was accepted",
-            )
-        ]
-    if not image and np.abs(scale - 1).max() > _NOT_RIGID:
-        sizes = " x ".join(f"{each:.4g}" for each in scale)
-        return [
-            _wrong(
-                Check.MATRIX,
-                f"{name} is no rotation: it scales by {sizes}",
-                "a matrix with the size of a pixel belongs to ImageTo...; any other one must be a "
-                "rotation and a position in mm",
-            )
-        ]
-    if mirrored and not image:
-        return [
-            _wrong(
-                Check.MATRIX,
-                f"{name} is a reflection",
-                "let the tracker and the calibration both be right-handed",
-            )
-        ]
-    said = f"{name}: a rigid motion"
-    if image:
+        return [_Fault.SKEW(name=name, skew=np.degrees(skew))]
+    if name.startswith("Image"):
         said = f"{name}: pixels of {scale[0]:.4g} x {scale[1]:.4g} mm"
-        if np.allclose(scale[:2], 1, atol=1e-6):
-            return [
-                _doubtful(
-                    Check.MATRIX,
-                    f"{said}, as if nobody had calibrated them",
-                    "calibrate ImageToProbe",
-                )
-            ]
-    return [_fine(Check.MATRIX, said)]
-
-
-_TRACKER = "look at the tracker: is the tool in its sight?"
+        calibrated = not np.allclose(scale[:2], 1, atol=1e-6)
+        return [_fine(Check.MATRIX, said) if calibrated else _Fault.UNIT_PIXELS(said=said)]
+    if np.abs(scale - 1).max() > _NOT_RIGID:
+        return [_Fault.SCALES(name=name, sizes=" x ".join(f"{each:.4g}" for each in scale))]
+    if (np.linalg.det(unit) < 0).any():
+        return [_Fault.MIRRORED(name=name)]
+    return [_fine(Check.MATRIX, f"{name}: a rigid motion")]
 
 
 def check_motion(name: str, matrices: ArrayLike, times: ArrayLike) -> list[Finding]:
@@ -215,13 +216,7 @@ def check_motion(name: str, matrices: ArrayLike, times: ArrayLike) -> list[Findi
     there = np.isfinite(each).all(axis=(1, 2))
     findings = []
     if (lost := int((~there).sum())) and there.any():
-        findings.append(
-            _doubtful(
-                Check.MOTION,
-                f"{name}: {lost} of {len(there)} poses are missing or marked invalid",
-                "keep the probe in the tracker's sight",
-            )
-        )
+        findings.append(_Fault.LOST_POSES(name=name, lost=lost, count=len(there)))
     each, at = each[there], np.asarray(times, float)[there]
     if len(each) < 3:
         return findings
@@ -230,35 +225,16 @@ def check_motion(name: str, matrices: ArrayLike, times: ArrayLike) -> list[Findi
     turned = np.degrees(np.sqrt(np.square(R - R[0]).sum(axis=(1, 2)).max() / 2))
     spread = float(np.ptp(p, axis=0).max())
     if spread < _STILL_MM and turned < _STILL_DEG:
-        return [
-            *findings,
-            _doubtful(
-                Check.MOTION,
-                f"{name} never moves in {len(each)} poses",
-                "if the probe moved, its tracker sends the last pose again and again",
-            ),
-        ]
+        return [*findings, _Fault.STILL(name=name, count=len(each))]
     findings.append(_fine(Check.MOTION, f"{name} moves over {spread:.3g} mm and {turned:.3g} deg"))
     same = (each[1:] == each[:-1]).all(axis=(1, 2))
     if same.mean() > _REPEATED:
-        findings.append(
-            _doubtful(
-                Check.MOTION,
-                f"{name}: {100 * same.mean():.0f} % of the poses repeat the one before",
-                "let the tracker measure at least as often as images are taken",
-            )
-        )
+        findings.append(_Fault.REPEATED(name=name, share=100 * same.mean()))
     steps, dt = 1e-3 * np.linalg.norm(np.diff(p, axis=0), axis=1), np.diff(at)
     jumps = steps > _FASTEST * np.where(dt > 0, dt, np.inf)
     if jumps.any():
-        findings.append(
-            _doubtful(
-                Check.MOTION,
-                f"{name} jumps {int(jumps.sum())} times, by up to {1e3 * steps[jumps].max():.3g} "
-                "mm, faster than 1 m/s",
-                _TRACKER,
-            )
-        )
+        most = 1e3 * steps[jumps].max()
+        findings.append(_Fault.JUMPS(name=name, jumps=int(jumps.sum()), most=most))
     return findings
 
 
@@ -267,31 +243,18 @@ def check_spacing(spacing: ArrayLike) -> list[Finding]:
     steps = np.asarray(spacing, float)
     shown = " x ".join(f"{each:.4g}" for each in steps)
     if np.allclose(steps, 1.0, atol=1e-6):
-        return [
-            _doubtful(
-                Check.SPACING,
-                f"{shown} mm, which programs write that do not know it",
-                "look up the size of a voxel, and write it into the header",
-            )
-        ]
+        return [_Fault.UNIT_SPACING(shown=shown)]
     return [_fine(Check.SPACING, f"{shown} mm")]
 
 
 def check_volume(volume: Volume) -> list[Finding]:
     """Check what a volume shows: its contrast, what of it is empty, and its speckle."""
-    grey = volume.intensities
-    if float(grey.max()) - float(grey.min()) <= 0:
-        return [
-            _wrong(
-                Check.CONTENT,
-                "the volume shows nothing: all of its numbers are one",
-                "look at the scanner's gain and whether it was frozen",
-            )
-        ]
-    return [*_check_empty(volume), *_check_speckle(volume)]
+    if float(volume.intensities.max()) - float(volume.intensities.min()) <= 0:
+        return [_Fault.BLANK()]
+    return [_check_empty(volume), _check_speckle(volume)]
 
 
-def _check_empty(volume: Volume) -> list[Finding]:
+def _check_empty(volume: Volume) -> Finding:
     seen = volume.seen
     if isinstance(volume, ReconstructedVolume):
         empty, what = 1 - float(seen.mean()), "of the box lies between no two frames"
@@ -300,58 +263,32 @@ def _check_empty(volume: Volume) -> list[Finding]:
         empty, what = float((volume.intensities[seen] == 0).mean()), "of what was seen is black"
         limit = 0.4
     text = f"{100 * seen.mean():.0f} % of the box was seen, {100 * empty:.0f} % {what}"
-    if empty <= limit:
-        return [_fine(Check.CONTENT, text)]
-    return [
-        _doubtful(
-            Check.CONTENT,
-            text,
-            "if it is a reconstruction, sweep more slowly or make its voxels larger; else look at "
-            "gain, threshold and window",
-        )
-    ]
+    return _fine(Check.CONTENT, text) if empty <= limit else _Fault.HOLLOW(text=text)
 
 
-def _check_speckle(volume: Volume) -> list[Finding]:
+def _check_speckle(volume: Volume) -> Finding:
     spread = speckle_spread(volume)
     if spread is None:
-        return [
-            _fine(
-                Check.SPECKLE,
-                "no speckle was found that could tell whether the spacing is right",
-            )
-        ]
-    widths = np.array(
-        [np.median(each) for each in (spread.lateral, spread.axial, spread.elevation)]
+        text = "no speckle was found that could tell whether the spacing is right"
+        return _fine(Check.SPECKLE, text)
+    lateral, axial, elevation = (
+        1e3 * float(np.median(each)) for each in (spread.lateral, spread.axial, spread.elevation)
     )
-    lateral, axial, elevation = 1e3 * widths
     text = (
         f"{axial:.2g} mm along the sound, {lateral:.2g} mm across it, {elevation:.2g} mm from "
         "frame to frame"
     )
     if axial > _OTHER_AXIS * min(lateral, elevation):
         finest = "across the sound" if lateral < elevation else "from frame to frame"
-        return [
-            _doubtful(
-                Check.SPECKLE,
-                f"{text}: it is finest {finest}, as if the sound ran there",
-                "try another direction of the sound (--depth), and check the spacing of that axis",
-            )
-        ]
+        return _Fault.OTHER_AXIS(text=text, finest=finest)
     for width, (least, most), where in (
         (axial, _AXIAL_MM, "along the sound"),
         (lateral, _ACROSS_MM, "across it"),
         (elevation, _ACROSS_MM, "from frame to frame"),
     ):
         if not least <= width <= most:
-            return [
-                _doubtful(
-                    Check.SPECKLE,
-                    f"{text}: {where}, {least:g} to {most:g} mm are usual",
-                    "is the spacing in mm, and that of this axis?",
-                )
-            ]
-    return [_fine(Check.SPECKLE, text)]
+            return _Fault.WIDTH(text=text, where=where, least=least, most=most)
+    return _fine(Check.SPECKLE, text)
 
 
 def check_errors(errors: PoseErrors | NotFound) -> list[Finding]:
@@ -361,22 +298,14 @@ def check_errors(errors: PoseErrors | NotFound) -> list[Finding]:
     half = 2 * errors.std
     shift, turn = np.linalg.norm(errors.translation), np.linalg.norm(errors.rotation)
     text = (
-        f"poses are late by {1e3 * errors.delay:.0f} ms (95 %: {1e3 * (errors.delay - half[0]):.0f}"
-        f" to {1e3 * (errors.delay + half[0]):.0f}), and the image is displaced by "
-        f"{1e3 * shift:.1f} mm and {np.degrees(turn):.1f} deg"
+        f"{_late(errors.delay, half[0])}, and the image is displaced by {1e3 * shift:.1f} mm and "
+        f"{np.degrees(turn):.1f} deg"
     )
     late = abs(errors.delay) - half[0] > 0 and abs(errors.delay) > _LATE
     displaced = shift > _DISPLACED + np.linalg.norm(half[1:4])
     turned = np.degrees(turn) > _TURNED_DEG + np.degrees(np.linalg.norm(half[4:]))
-    if not (late or displaced or turned):
-        return [_fine(Check.DELAY, text)]
-    return [
-        _doubtful(
-            Check.DELAY,
-            text,
-            "let `sonoservo track --correct-poses` correct them, or calibrate again",
-        )
-    ]
+    wrong = late or displaced or turned
+    return [_Fault.POSES(text=text) if wrong else _fine(Check.DELAY, text)]
 
 
 def check_delay(found: tuple[float, float] | NotFound) -> list[Finding]:
@@ -384,14 +313,14 @@ def check_delay(found: tuple[float, float] | NotFound) -> list[Finding]:
     if isinstance(found, NotFound):
         return [_fine(Check.DELAY, f"delay unknown: {found.reason}")]
     delay, half = found[0], 2 * found[1]
-    text = (
-        f"poses are late by {1e3 * delay:.0f} ms (95 %: {1e3 * (delay - half):.0f} to "
-        f"{1e3 * (delay + half):.0f}), by sweeps to and fro"
-    )
-    if abs(delay) <= max(half, _LATE):
-        return [_fine(Check.DELAY, text)]
-    advice = "calibrate the delay (in PLUS, the temporal offset of the devices), and record again"
-    return [_doubtful(Check.DELAY, text, advice)]
+    text = f"{_late(delay, half)}, by sweeps to and fro"
+    right = abs(delay) <= max(half, _LATE)
+    return [_fine(Check.DELAY, text) if right else _Fault.LATE(text=text)]
+
+
+def _late(delay: float, half: float) -> str:
+    ends = f"{1e3 * (delay - half):.0f} to {1e3 * (delay + half):.0f}"
+    return f"poses are late by {1e3 * delay:.0f} ms (95 %: {ends})"
 
 
 def sort_findings(findings: Sequence[Finding]) -> list[Finding]:

@@ -48,6 +48,10 @@ class CrossSectionParameters:
     follow_shape_from
         Observed depth in m from which the region of interest is centred on the predicted shape.
         Before that it is centred on the last cross-section.
+    expected_std
+        Standard deviation along X and Y of a cross-section about its expected place, in m, beside
+        that of the predicted shape: the tissue shifts with the breath, and a needle turns by some
+        degrees. A match with another needle beside is as good, but needs a leap. Not with "match".
     template
         Width w and height h of the template in m; the region of interest is 2w x 2h.
     deviations
@@ -78,6 +82,7 @@ class CrossSectionParameters:
     start_reach: Positive = 1.6e-3
     start_slices: Annotated[int, within(1, 20)] = 4
     follow_shape_from: NotNegative = 10e-3
+    expected_std: Positive = 0.5e-3
     template: list[float] = field(default_factory=lambda: [6e-3, 6e-3])
     deviations: str = "brighter"
     position: str = "front"
@@ -164,38 +169,51 @@ def expected_position(
     last: CrossSection,
     shape: NeedleShape | NotFound,
     parameters: CrossSectionParameters,
-) -> Floats:
-    """Return the expected (2,) x and y in P, in m, of the needle in the next slice."""
+) -> tuple[Floats, float]:
+    """Return the expected (2,) x and y in P of the needle in the next slice and their std, in m."""
+    p_W, std = last.position, 0.0
     if isinstance(shape, NeedleShape) and shape.observed >= parameters.follow_shape_from:
         depth = shape.X_WI.inverse().multiply(image.X_WP.translation())[2]
-        p_W = shape.positions([depth])[0]
-    else:
-        p_W = last.position
-    expected: Floats = image.X_WP.inverse().multiply(p_W)[:2]
-    return expected
+        p_W, std = shape.positions([depth])[0], float(shape.std([depth])[0])
+    return image.X_WP.inverse().multiply(p_W)[:2], float(np.hypot(std, parameters.expected_std))
 
 
 def find_again(
     image: ImageSlice,
     last: CrossSection,
-    expected: Floats,
+    expected: tuple[Floats, float],
     parameters: CrossSectionParameters,
 ) -> CrossSection | NotFound:
-    """Find a cross-section in the next slice, around ``expected``: (2,) x and y in P, in m.
+    """Find a cross-section in the next slice, around the `expected_position`.
 
     Normalized cross-correlation with the last template identifies the needle's echo. The vertex of
     that echo's front, or the match itself, gives the position.
     """
     size = np.array(last.template.shape)
-    first = np.rint(image.index(expected)).astype(int) - size
+    around = image.index(expected[0])
+    first = np.rint(around).astype(int) - size
     shape = np.array(image.intensities.shape)
     low, high = np.maximum(first, 0), np.minimum(first + 2 * size + 1, shape)
     if np.any(high - low < size):
         return NotFound("the needle has left the image")
     mean = image_mean(image)
     region = image.intensities[low[0] : high[0], low[1] : high[1]]
+    prior = None
+    if parameters.position == "front":
+        # Only the cells of speckle and echoes that hold the template's energy tell a place.
+        energy = (last.template - last.template.mean(dtype=float)) ** 2
+        pixels = energy.sum() ** 2 / max(float((energy**2).sum()), 1e-300)
+        cells = max(pixels * np.prod(image.spacing / parameters.vertex) / 2, 1.0)
+        places = (
+            np.indices(tuple(region.shape - size + 1)) + (low + 0.5 * (size - 1))[:, None, None]
+        )
+        away = (places - around[:, None, None]) * image.spacing[:, None, None]
+        prior = -0.5 * (away**2).sum(axis=0) / expected[1] ** 2 / cells
     match = best_match(
-        variance_image(region, mean, deviations=parameters.deviations), last.template
+        variance_image(region, mean, deviations=parameters.deviations),
+        last.template,
+        prior,
+        parameters.min_correlation,
     )
     if not isinstance(match, Match):
         return match

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.fft import irfftn, next_fast_len, rfftn
+from scipy.ndimage import maximum_filter
 
 from sonoservo.systems.signals.immutable import Immutable, NotFound, read_only
 from sonoservo.systems.signals.requirements import require
@@ -80,8 +81,17 @@ def _window_sums(arrays: NDArray[np.float64], shape: tuple[int, ...]) -> NDArray
     return arrays
 
 
-def best_match(search: ArrayLike, kernel: ArrayLike) -> Match | NotFound:
+def best_match(
+    search: ArrayLike,
+    kernel: ArrayLike,
+    log_prior: NDArray[np.float64] | None = None,
+    least: float = 0.0,
+) -> Match | NotFound:
     """Find the place in a search region at which a kernel correlates best, to subelement accuracy.
+
+    ``log_prior`` is the logarithm of the prior density of each place, over the number of cells of
+    speckle in the kernel; each of them tells -ln(1 - rho^2) / 2 for a place. With it, the most
+    probable of the peaks of at least the correlation ``least`` is taken.
 
     The maximum is refined by the paraboloid through its neighbours. Along each axis, the curvature
     puts the paraboloid's maximum at that of the cosine through the three values (Cespedes et al.
@@ -95,7 +105,13 @@ def best_match(search: ArrayLike, kernel: ArrayLike) -> Match | NotFound:
     if part.size == 0 or np.ptp(part) == 0:
         return NotFound("the kernel is constant")
     rho = normalized_cross_correlation(whole, part)
-    peak = np.unravel_index(np.argmax(rho), rho.shape)
+    score = rho
+    if log_prior is not None:
+        told = -0.5 * np.log1p(-(np.minimum(rho, 1 - 1e-6) ** 2), dtype=np.float64)
+        # A prior chooses between peaks; it must not pull the place down the flank of one.
+        peaks = (rho == maximum_filter(rho, 3)) & (rho >= min(least, rho.max()))
+        score = np.where(peaks, told + log_prior, -np.inf)
+    peak = np.unravel_index(np.argmax(score), rho.shape)
     if not rho[peak] > 0:
         return NotFound("nothing in the search region resembles the kernel")
     index = np.array(peak)

@@ -14,6 +14,7 @@ alpha and beta are thus learnt together with the path.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -24,9 +25,8 @@ from sonoservo.systems.shape.shape_parameters import (
     MAX_PARTICLES,
     ShapeEstimatorParameters,
 )
-from sonoservo.systems.shape.tissue_shift import shift_modes
 from sonoservo.systems.signals.bicycle_paths import deflections
-from sonoservo.systems.signals.curvature_wander import wander_modes
+from sonoservo.systems.signals.curvature_wander import WanderModes, wander_modes
 from sonoservo.systems.signals.immutable import Immutable
 from sonoservo.systems.signals.requirements import (
     Bounded,
@@ -38,6 +38,9 @@ from sonoservo.systems.signals.requirements import (
 )
 
 Floats = NDArray[np.float64]
+
+_SHIFT_SHARE = 0.99
+"""Share of the variance of the tissue's shift that its modes represent."""
 
 
 @dataclass(kw_only=True)
@@ -166,6 +169,20 @@ class WanderFits(NamedTuple):
     rotation: Floats
     mean: Floats
     shrinkage: Floats
+
+
+@lru_cache(maxsize=16)
+def shift_modes(depth: float, length: float) -> WanderModes:
+    """Return the principal modes of a shift with the covariance exp(-d^2 / (2 length^2)).
+
+    Their sum with independent normal coefficients of standard deviation s has that deviation.
+    """
+    depths = np.linspace(0, depth, max(int(np.ceil(3 * depth / length)), 2) + 1)
+    apart = (depths[:, np.newaxis] - depths) / length
+    values, vectors = np.linalg.eigh(np.exp(-0.5 * apart**2))
+    values, vectors = np.maximum(values[::-1], 0.0), vectors[:, ::-1]
+    number = int(np.searchsorted(np.cumsum(values), _SHIFT_SHARE * values.sum())) + 1
+    return WanderModes(depths, vectors[:, :number] * np.sqrt(values[:number]))
 
 
 class ShapePosterior:

@@ -55,7 +55,8 @@ def test_cross_section_in_a_slice(benchmark, experiment):
     last = experiment.cross_sections[100]
     number = int(np.argmin([abs(each.time - last.time) for each in slices]))
     parameters = CrossSectionParameters()
-    found = benchmark(find_again, slices[number + 1], last, last.centre, parameters)
+    expected = last.centre, parameters.expected_std
+    found = benchmark(find_again, slices[number + 1], last, expected, parameters)
     assert found
     note_paper(benchmark, "image")
 

@@ -41,9 +41,9 @@ Floats = NDArray[np.float64]
 BEVEL_MARK_DEG = 60.0
 """Accuracy in deg with which the filter as printed is given the bevel's direction."""
 
-TAUGHT, AS_PUBLISHED = "taught", "as_published"
-"""Names of the methods beside `ESTIMATORS`: our particle filter with the learnt wander, and the
-whole published method."""
+TAUGHT, AS_PUBLISHED, EXACT = "taught", "as_published", "exact"
+"""Names of the methods beside `ESTIMATORS`: our particle filter with the learnt wander, the whole
+published method, and the printed filter on cross-sections without any error."""
 
 UNTAUGHT = WanderParameters(spread=1.0, across_spread=1.0)
 """Distribution of the wander before the first needle is seen."""
@@ -72,8 +72,11 @@ def run_needle(case: Case) -> dict[str, Any]:
             experiment.make_estimator("particle_filter", replace(scenario, particle_filter=taught)),
             experiment.cross_sections,
         )
-    logs = dict.fromkeys(shapes, log)
     published = _published(experiment, case)
+    shapes[EXACT] = estimate_shape(
+        experiment.make_estimator("published", published), _exact(experiment, log)
+    )
+    logs = dict.fromkeys(shapes, log)
     found, shapes[AS_PUBLISHED] = predict_from_slices(experiment.make_predictor(published), slices)
     logs[AS_PUBLISHED] = _with(log, experiment, found)
     methods, paths = {}, {}
@@ -189,6 +192,16 @@ def _with(
         if isinstance(each, CrossSection):
             measured[number] = experiment.X_WP.inverse().multiply(each.position)
     return replace(log, measured=measured)
+
+
+def _exact(experiment: ShapePredictionExperiment, log: ShapeLog) -> list[CrossSection]:
+    """Return the cross-sections that were found, each moved to where the needle really is."""
+    exact = []
+    for each in experiment.cross_sections:
+        depth = experiment.X_WP.inverse().multiply(each.position)[2]
+        x, y = (np.interp(depth, log.depth, log.true[:, axis]) for axis in (0, 1))
+        exact.append(replace(each, position=experiment.X_WP.multiply([x, y, depth])))
+    return exact
 
 
 def _bound(experiment: ShapePredictionExperiment, log: ShapeLog) -> dict[str, float]:

@@ -86,8 +86,8 @@ def study_cases(options: StudyOptions) -> list[Case]:
             cases.append(Case(f"kept voxels, {length_mm} mm", seed, settings))
     push = {"speed_mm_s": 1.0, "interval_s": INTERVAL, "volumes": 12 if quick else 51}
     for seed in options.seed_range(6, 1):
-        settings = {**push, "noises": dict(NOISES), "phantom": seed}
-        cases.append(Case("open values", seed, settings))
+        open_values = {**push, "noises": dict(NOISES), "phantom": seed}
+        cases.append(Case("open values", seed, open_values))
     return cases + _loop_cases(options)
 
 

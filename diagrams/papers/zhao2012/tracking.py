@@ -1,6 +1,7 @@
 """Zhao 2012's tracker on the radio-frequency sweeps of the simulated probe."""
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,12 +61,12 @@ class Noise:
     turning: float = 2e-6
     velocity_std: float = 2e-3
 
-    def filter(self, **more: float) -> AxisTipFilter:
+    def filter(self, **more: Any) -> AxisTipFilter:
         """Return the filter with this noise Q."""
         motion = NeedleMotionParameters(insertion=0, body=self.tip)
         return AxisTipFilter(motion=motion, turning=self.turning, **more)
 
-    def velocimeter(self, **more: float) -> SpeckleVelocimeterParameters:
+    def velocimeter(self, **more: Any) -> SpeckleVelocimeterParameters:
         """Return the velocimeter with the published windows and this noise R."""
         return replace(VELOCIMETER, min_speed_std=self.velocity_std, **more)
 

@@ -26,10 +26,7 @@ _CONNECT_S = 15.0
 
 @contextmanager
 def open_cluster(
-    text: str,
-    *,
-    limit: float = CASE_LIMIT_S,
-    notify: Callable[[str], None] = print,
+    text: str, *, limit: float = CASE_LIMIT_S, notify: Callable[[str], None] = print
 ) -> Iterator["Cluster"]:
     """Open a cluster of Dask distributed for the cases of studies.
 
@@ -132,32 +129,18 @@ def local_cluster(cases: int) -> Iterator["LocalCluster"]:
 
 _FIELDS = ("class", "jobs", "arguments")
 
-_TEXT, _LINES = (str,), (list,)
 _TYPES: Mapping[str, tuple[type, ...]] = {
-    "cores": (int,),
-    "processes": (int,),
-    "memory": _TEXT,
-    "walltime": _TEXT,
-    "queue": _TEXT,
-    "account": _TEXT,
-    "project": _TEXT,
-    "interface": _TEXT,
-    "protocol": _TEXT,
-    "local_directory": _TEXT,
-    "log_directory": _TEXT,
-    "python": _TEXT,
-    "shebang": _TEXT,
-    "job_name": _TEXT,
-    "job_mem": _TEXT,
-    "resource_spec": _TEXT,
-    "job_cpu": (int,),
-    "death_timeout": (int, float),
-    "nanny": (bool,),
-    "job_extra_directives": _LINES,
-    "job_directives_skip": _LINES,
-    "job_script_prologue": _LINES,
-    "worker_extra_args": _LINES,
-}
+    name: types
+    for types, names in (
+        ((int,), "cores processes job_cpu"),
+        ((int, float), "death_timeout"),
+        ((bool,), "nanny"),
+        ((list,), "job_extra_directives job_directives_skip job_script_prologue worker_extra_args"),
+        ((str,), "memory walltime queue account project interface protocol local_directory "
+         "log_directory python shebang job_name job_mem resource_spec"),
+    )
+    for name in names.split()
+}  # fmt: skip
 """Types of the arguments that most classes of dask-jobqueue have; they do not declare any."""
 
 _KIND = {int: "a whole number", float: "a number", str: "text", bool: "true or false"}

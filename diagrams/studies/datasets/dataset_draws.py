@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pydrake.math import RigidTransform
 
 from sonoservo.diagrams.assembly import load_dome_radius
-from sonoservo.diagrams.dials import load_dials
+from sonoservo.diagrams.dials import draw_dials_on
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
 from sonoservo.diagrams.scene import Scene
 from sonoservo.systems.needle.insertion import Insertion
@@ -33,8 +33,6 @@ _SEEN = (
 
 _DIP, _SPEED = "hand.dip_deg", "hand.pushes.0.speed"
 
-_WEAKEST = 0.1  # smallest strength of a dial that is on
-
 
 @dataclass(frozen=True)
 class DrawnDials:
@@ -51,15 +49,13 @@ def draw_dials(rng: np.random.Generator) -> DrawnDials:
 
     The needle's angle and speed are drawn anyway; their dials raise the upper limits.
     """
-    dials = load_dials()
     strengths: dict[str, float] = {}
     changes: list[str] = []
     taken: set[str] = set()
     limits = {_DIP: DrawnDials.max_dip_deg, _SPEED: DrawnDials.max_speed}
-    for name in rng.permutation(sorted(dials)):
-        dial, on, strength = dials[name], rng.random() < 0.5, rng.uniform(_WEAKEST, 1)
+    for name, dial, strength in draw_dials_on(rng):
         raised = [path for path in dial.moderate if path in limits]
-        if not on or taken & dial.moderate.keys():
+        if taken & dial.moderate.keys():
             continue
         if raised:
             for path in raised:
@@ -69,7 +65,7 @@ def draw_dials(rng: np.random.Generator) -> DrawnDials:
             changes += dial.changes(strength)
         else:
             continue
-        strengths[str(name)] = strength
+        strengths[name] = strength
     return DrawnDials(strengths, tuple(changes), limits[_DIP], limits[_SPEED])
 
 

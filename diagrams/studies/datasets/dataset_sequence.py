@@ -72,12 +72,7 @@ def make_sequence(case: Case) -> WithFiles:
         "hand": asdict(hand),
     }
     files = write_layout(settings["layout"], name, volumes(), lambda: {**about, "volumes": labels})
-    entry = {
-        "name": name,
-        "seed": case.seed,
-        "volumes": len(labels),
-        "processor": processor_type(),
-    }
+    entry = {"name": name, "seed": case.seed, "volumes": len(labels), "processor": processor_type()}
     return WithFiles(entry, files)
 
 

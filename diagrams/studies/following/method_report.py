@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from sonoservo.diagrams.studies.following.analysis import AS_PUBLISHED, Run, Volumes, pooled_runs
 from sonoservo.diagrams.studies.run_group import RunGroup, Value, pooled, quantile_of
 from sonoservo.diagrams.studies.study import Outcome
-from sonoservo.diagrams.studies.study_report import StudyRow, can_be_judged
+from sonoservo.diagrams.studies.study_report import StudyRow
 
 Floats = NDArray[np.float64]
 
@@ -53,27 +53,8 @@ class Comparison:
         self, quantity: str, unit: str, figure: Callable[[MethodRuns], Value], **more: Any
     ) -> None:
         """Add a row with the same figure of both methods."""
-        ours, published = figure(self.ours), figure(self.published)
-        target = more.get("target")
-        if target is not None and ours.share_of is not None:
-            judged = can_be_judged(ours.share_of, target, more.get("wanted", "at most"))
-            more["target"] = target if judged else None
-        self.rows.append(
-            StudyRow(
-                experiment=self.name,
-                quantity=quantity,
-                unit=unit,
-                true=ours.true,
-                estimated=ours.estimated,
-                low=ours.low,
-                high=ours.high,
-                published_true=published.true,
-                published_estimated=published.estimated,
-                published_low=published.low,
-                published_high=published.high,
-                **more,
-            )
-        )
+        figures = figure(self.ours), figure(self.published)
+        self.rows.append(StudyRow.of(self.name, quantity, unit, *figures, **more))
 
     def errors(self, name: str, quantity: str, unit: str, factor: float, **targets: float) -> None:
         """Add the rows of an error over all volumes that count: median, 95 % and largest."""

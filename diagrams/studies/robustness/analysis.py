@@ -18,20 +18,13 @@ _WORTH = 10.0  # travel of a probe after a ghost that counts as a chase, in mm
 
 @dataclass(frozen=True, eq=False)
 class Record(TrackedVolumes):
-    """Run of one tracker; see `runs.record` and `TrackedVolumes`.
-
-    `false_starts` is their number, `seconds` the simulated time, `shown_s` the time in s for which
-    a needle is shown while there is none in the image, and `travel_mm` the distance that the probe
-    is commanded meanwhile, None if nothing follows the tracker. `inside` tells whether the truth
-    lies inside the stated 95 % of tip, axis and velocity: (v,) arrays of 1 or 0, NaN where nothing
-    is stated.
-    """
+    """Run of one tracker; see `runs.record` and `TrackedVolumes`."""
 
     false_starts: int
-    seconds: float
-    shown_s: float
-    travel_mm: float | None
-    inside: Mapping[str, Floats]
+    seconds: float  # simulated
+    shown_s: float  # a needle is shown while there is none in the image
+    travel_mm: float | None  # commanded meanwhile; None if nothing follows the tracker
+    inside: Mapping[str, Floats]  # (v,) 1 or 0; NaN where nothing is stated
 
     @classmethod
     def kept_by(cls, kept: Mapping[str, Any]) -> "Record":
@@ -58,11 +51,7 @@ class Group(RunGroup[Record]):
         super().__init__(finished, len(outcomes))
 
     def quantile(self, error: str, q: float) -> Value:
-        """Return a quantile of an error over the volumes from the detection on.
-
-        Volumes without an estimate count as infinite errors. So does the volume that stands for a
-        run in which the needle was not found, or that failed.
-        """
+        """Return a quantile of an error from the detection on; infinite if not found."""
         runs = [
             getattr(each, error)[each.judged] if each.judged.any() else np.array([np.inf])
             for each in self.runs
@@ -70,11 +59,7 @@ class Group(RunGroup[Record]):
         return pooled([*runs, *self.failed * [np.array([np.inf])]], quantile_of(q))
 
     def inside(self, error: str) -> Value:
-        """Return the share of truths inside the stated 95 % from the detection on, in %.
-
-        Only volumes with a stated uncertainty count, so runs in which the needle was not found, or
-        that failed, do not.
-        """
+        """Return the share in % of truths inside the stated 95 % from the detection on."""
         stated = [each.inside[error][each.judged] for each in self.runs]
         runs = [100 * each[np.isfinite(each)] for each in stated]
         return pooled([each for each in runs if len(each)], lambda values: float(values.mean()))
@@ -98,17 +83,11 @@ def chased(record: Record) -> bool:
 
 @dataclass(frozen=True)
 class Threshold:
-    """Strength of a dial at which success falls under 95 %, in the dial's own unit.
+    """Strength of a dial at which success falls under 95 %, in the dial's own unit."""
 
-    `value`: first strength studied at which less than 95 % of the runs succeed; None if there is
-    none; `before`: last strength studied before it, or the last one of all; None if there is none;
-    `plain`: whether 95 % of the runs succeed with every dial off. If not, no strength is a
-    threshold.
-    """
-
-    value: float | None
-    before: float | None
-    plain: bool = True
+    value: float | None  # first strength studied with less than 95 %, if any
+    before: float | None  # last strength studied before it, or of all
+    plain: bool = True  # whether 95 % of the runs succeed with every dial off
 
     def __str__(self) -> str:
         if not self.plain:

@@ -32,12 +32,7 @@ outside the view and passes 45 mm below the probe, which is turned by 20 deg."""
 
 @dataclass(frozen=True)
 class Turned:
-    """A dial at one strength.
-
-    `changes`: assignments that turn it in a scenario; `phantom`: name of the phantom to change;
-    empty for the scenario's own; `phantom_changes`: fields of that phantom's file to change, by
-    dotted path.
-    """
+    """A dial at one strength: assignments in a scenario, and changed fields of a phantom's file."""
 
     changes: list[str] = field(default_factory=list)
     phantom: str = ""
@@ -51,34 +46,15 @@ class Turned:
 
 @dataclass(frozen=True, kw_only=True)
 class GradedDial:
-    """A dial of `load_dials` with the strengths at which it is studied.
+    """A dial of `load_dials` with the strengths at which it is studied."""
 
-    Parameters
-    ----------
-    strengths
-        Strengths relative to the moderate one; empty if no volume of a probe that is moved as
-        planned shows the dial, which is then studied in the closed loop only.
-    moderate
-        Moderate strength in the dial's own unit.
-    unit
-        That unit, in words; empty for a switch.
-    off
-        Value of the dial's quantity at strength 0.
-    inverse
-        Whether the quantity is inversely proportional to the strength, as a distance is.
-    in_probe
-        Whether errors are judged in the probe's frame, because the dial moves that frame.
-    across_depth
-        Whether errors count across the depth only, because the dial stretches the depth.
-    """
-
-    strengths: tuple[float, ...] = (0.5, 1.0, 2.0)
-    moderate: float
-    unit: str
-    off: float = 0.0
-    inverse: bool = False
-    in_probe: bool = False
-    across_depth: bool = False
+    strengths: tuple[float, ...] = (0.5, 1.0, 2.0)  # relative; empty: closed loop only
+    moderate: float  # moderate strength in the dial's own unit
+    unit: str  # in words; empty for a switch
+    off: float = 0.0  # value of the dial's quantity at strength 0
+    inverse: bool = False  # the quantity falls with the strength, as a distance does
+    in_probe: bool = False  # errors count in the probe's frame, which the dial moves
+    across_depth: bool = False  # errors count across the depth, which the dial stretches
 
     def value(self, strength: float) -> float:
         """Return the dial's quantity at a strength, in its own unit."""
@@ -124,11 +100,7 @@ CLINIC = "clinic"  # name of the scenario that has all dials at about half their
 
 
 def turned(name: str, strength: float) -> Turned:
-    """Return a dial turned to a strength.
-
-    Structures, the speed of sound and the friction are those of a phantom's file, so that a
-    strength other than the moderate one needs a phantom of its own.
-    """
+    """Return a dial turned to a strength, with a phantom of its own where its file has the dial."""
     dial = GRADED[name]
     value = dial.value(strength)
     if name == "structure beside the needle":

@@ -1,6 +1,6 @@
 """The leaf that moves probe and phantom as planned, in place of a robot."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -20,6 +20,7 @@ from sonoservo.diagrams.experiments.following_scene import (
 )
 from sonoservo.diagrams.needle_tracker import MakeNeedleTracker
 from sonoservo.diagrams.scenario import draw_seeds
+from sonoservo.diagrams.scene import Scene
 from sonoservo.diagrams.tracker_bench import MakeTrackerBench, log_of
 from sonoservo.diagrams.trackers.registry import TRACKERS
 from sonoservo.diagrams.wiring import connect_by_name
@@ -49,12 +50,9 @@ _STEEPEST = np.deg2rad(80)
 class MotionPlan:
     """Poses of probe and phantom over time, planned from where the needle will be.
 
-    The probe rests during the first push, so that every tracker meets the needle with the probe at
-    rest. Then it comes over the needle's tip in 3 s, turns its image to the needle, and follows. It
-    rides on the phantom as it breathes.
-
-    `scenario`: scenario with station, phantom and its motion; `insertion`: insertion of the needle,
-    in a phantom at rest.
+    The probe rests during the first push, so that every tracker meets the needle at rest, comes
+    over the tip in 3 s, turns its image to the needle, and follows. It rides on the phantom as it
+    breathes.
     """
 
     scenario: FollowingScenario
@@ -122,15 +120,7 @@ class PlannedMotion(LeafSystem):
         - X_WT
         - calibrated_X_WP
 
-    All are RigidTransforms: the true pose of the probe, the pose of the phantom, and the pose of
-    the probe as an arm with an error of its hand-eye calibration has it.
-
-    Parameters
-    ----------
-    plan
-        Planned poses.
-    X_PC
-        Pose of the calibrated probe frame in the true one.
+    `X_PC` is the pose of the calibrated probe frame, as an arm has it, in the true one.
     """
 
     def __init__(self, *, plan: MotionPlan, X_PC: RigidTransform) -> None:
@@ -162,10 +152,7 @@ def make_bench(
     *,
     correct_poses: bool = False,
 ) -> Diagram:
-    """Make a bench that observes the volumes of a scenario with a tracker, by its kind.
-
-    The tracker has its default parameters; only its log reads the truth.
-    """
+    """Make a bench that observes the volumes of a scenario with a tracker, by its kind."""
     kind, looks = next(each for each in TRACKERS if each.kind == tracker), observer_events(scenario)
     return MakeTrackerBench(
         tracker=MakeNeedleTracker(
@@ -184,21 +171,42 @@ def make_bench(
 def run_open_loop(
     scenario: FollowingScenario, trackers: Sequence[str], *, correct_poses: bool = False
 ) -> tuple[dict[str, RunLog], list[Volume]]:
-    """Acquire a scenario's volumes with a probe that is moved as planned, and track in them.
-
-    Every tracker gets the same volumes with the same poses; none of them moves the probe.
-    """
+    """Acquire the volumes of a probe that is moved as planned, and track in them with each."""
     scene = make_scene(scenario)
     benches = {
         each: make_bench(scenario, scene.geometry, each, correct_poses=correct_poses)
         for each in trackers
     }
     collector = VolumeCollector(**observer_events(scenario))
-    observers: dict[str, System] = {**benches, "volume_collector": collector}
+    simulator = simulate_planned(
+        scenario,
+        scene,
+        MotionPlan(scenario, scene.insertion),
+        {**benches, "volume_collector": collector},
+        until=scenario.duration,
+    )
+    context = simulator.get_context()
+    logs = {
+        name: log_of(each, each.GetMyContextFromRoot(context)) for name, each in benches.items()
+    }
+    return logs, collector.volumes(collector.GetMyContextFromRoot(context))
+
+
+def simulate_planned(
+    scenario: FollowingScenario,
+    scene: Scene,
+    plan: MotionPlan,
+    observers: Mapping[str, System],
+    *,
+    until: float,
+    optional: Iterable[str] = (),
+) -> Simulator:
+    """Simulate a probe that moves as planned up to a time in s, and return the simulator.
+
+    ``optional`` names inputs of the observers that need no output.
+    """
     systems: dict[str, System] = {
-        "measured_motion": MakeMeasuredMotion(
-            scenario=scenario, plan=MotionPlan(scenario, scene.insertion)
-        ),
+        "measured_motion": MakeMeasuredMotion(scenario=scenario, plan=plan),
         **scene.reacting({"hand": Hand(insertion=scene.insertion)}),
         **imaging_systems(scenario, scene),
         **observers,
@@ -209,17 +217,13 @@ def run_open_loop(
     connect_by_name(
         builder,
         systems,
-        optional=("deformation",),
+        optional={"deformation", *optional},
         sees_truth={"hand", "scanner", *observers},
     )
     simulator = Simulator(builder.Build())
     simulator.Initialize()
-    simulator.AdvanceTo(scenario.duration)
-    context = simulator.get_context()
-    logs = {
-        name: log_of(each, each.GetMyContextFromRoot(context)) for name, each in benches.items()
-    }
-    return logs, collector.volumes(collector.GetMyContextFromRoot(context))
+    simulator.AdvanceTo(until)
+    return simulator
 
 
 def MakeMeasuredMotion(*, scenario: FollowingScenario, plan: MotionPlan) -> Diagram:
@@ -237,10 +241,7 @@ def MakeMeasuredMotion(*, scenario: FollowingScenario, plan: MotionPlan) -> Diag
     builder = DiagramBuilder()
     motion = builder.AddNamedSystem(
         "planned_motion",
-        PlannedMotion(
-            plan=plan,
-            X_PC=hand_eye_error(station.calibration, seeds.station),
-        ),
+        PlannedMotion(plan=plan, X_PC=hand_eye_error(station.calibration, seeds.station)),
     )
     delay = builder.AddNamedSystem(
         "pose_delay",

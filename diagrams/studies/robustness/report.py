@@ -4,12 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from sonoservo.diagrams.studies.robustness.analysis import (
-    Group,
-    Threshold,
-    chased,
-    threshold,
-)
+from sonoservo.diagrams.studies.robustness.analysis import Group, Threshold, chased, threshold
 from sonoservo.diagrams.studies.robustness.graded_dials import GRADED
 from sonoservo.diagrams.studies.robustness.plots import study_figures
 from sonoservo.diagrams.studies.robustness.runs import OURS, PUBLISHED, TRACKERS, ZHAO
@@ -30,11 +25,7 @@ Groups = Mapping[str, Mapping[str, Group]]  # runs by experiment and kind of the
 
 _ERRORS: Sequence[tuple[str, str, Callable[[Group], Value]]] = (
     ("found", "%", lambda group: group.share(lambda run: run.found)),
-    (
-        "kept, while 10 mm or more stand out",
-        "%",
-        lambda group: group.share(lambda run: run.kept),
-    ),
+    ("kept, while 10 mm or more stand out", "%", lambda group: group.share(lambda run: run.kept)),
     ("success", "%", lambda group: group.share(lambda run: run.success)),
     ("tip error, median", "mm", lambda group: group.quantile("tip", 0.5)),
     ("tip error, 95 %", "mm", lambda group: group.quantile("tip", 0.95)),
@@ -65,29 +56,19 @@ _TRAVEL: Sequence[tuple[str, str, Callable[[Group], Value]]] = (
         "mm",
         lambda group: group.largest(lambda run: run.travel_mm or 0.0),
     ),
-    (
-        "runs with 10 mm of such travel or more",
-        "%",
-        lambda group: group.share(chased),
-    ),
+    ("runs with 10 mm of such travel or more", "%", lambda group: group.share(chased)),
 )
 
 
 @dataclass(frozen=True, kw_only=True)
 class RobustnessStudy(Study):
-    """Study of robustness, with the dials' thresholds; see `Study`.
-
-    `thresholds`: dial, unit, moderate strength, and threshold of each tracker in words, for each
-    dial.
-    """
+    """Study of robustness, with the dials' thresholds of each tracker in words; see `Study`."""
 
     thresholds: Sequence[Mapping[str, str]] = field(default_factory=tuple)
 
     def as_json(self, command: str) -> dict[str, Any]:
         """Return everything except the pictures, for a JSON file."""
-        return super().as_json(command) | {
-            "thresholds": [dict(each) for each in self.thresholds],
-        }
+        return super().as_json(command) | {"thresholds": [dict(each) for each in self.thresholds]}
 
 
 def report(outcomes: Sequence[Outcome], pictured: bool = False) -> RobustnessStudy:
@@ -132,13 +113,7 @@ Curve = list[tuple[float, Mapping[str, Group]]]  # strength and runs by tracker,
 
 
 def dial_curves(outcomes: Sequence[Outcome]) -> dict[str, Curve]:
-    """Return the runs of the open loop by dial and strength; "plain" and the clinic are dials too.
-
-    Parameters
-    ----------
-    outcomes
-        Outcomes of cases. Those of other loops play no part.
-    """
+    """Return the runs of the open loop by dial and strength; "plain" and clinic are dials too."""
     groups = group_outcomes(outcomes)
     curves: dict[str, dict[float, Mapping[str, Group]]] = {}
     for each in outcomes:
@@ -209,31 +184,9 @@ def _compared(
 ) -> list[StudyRow]:
     """Return a row of ours beside the published tracker's figure, and one of Zhao's."""
     ours, published = (figures.get(kind, Value()) for kind in (OURS, PUBLISHED))
-    rows = [
-        StudyRow(
-            experiment=experiment,
-            quantity=quantity,
-            unit=unit,
-            true=ours.true,
-            low=ours.low,
-            high=ours.high,
-            published_true=published.true,
-            published_low=published.low,
-            published_high=published.high,
-        )
-    ]
+    rows = [StudyRow.of(experiment, quantity, unit, ours, published)]
     if ZHAO in figures:
-        zhao = figures[ZHAO]
-        rows.append(
-            StudyRow(
-                experiment=experiment,
-                quantity=f"{quantity}, {ZHAO}",
-                unit=unit,
-                true=zhao.true,
-                low=zhao.low,
-                high=zhao.high,
-            )
-        )
+        rows.append(StudyRow.of(experiment, f"{quantity}, {ZHAO}", unit, figures[ZHAO]))
     return rows
 
 

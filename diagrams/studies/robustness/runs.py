@@ -37,13 +37,9 @@ Floats = NDArray[np.float64]
 def run_case(case: Case) -> Mapping[str, Any]:
     """Run a case, and return the record of each tracker by its kind; see `record`.
 
-    Parameters
-    ----------
-    case
-        Case whose settings name the `loop` ("open", "closed" or "search"), the `scenario` and its
-        `changes`, the kinds of the `trackers`, of which a closed loop has one, the frame of the
-        errors (`in_probe`, `across_depth`), and whether trackers correct their poses
-        (`correct_poses`).
+    Its settings name the `loop` ("open", "closed" or "search"), `scenario`, `changes` and
+    `trackers`, the frame of the errors (`in_probe`, `across_depth`), and whether to
+    `correct_poses`.
     """
     settings = case.settings
     trackers = settings["trackers"]
@@ -69,11 +65,7 @@ def _run_closed_loop(scenario: FollowingScenario) -> tuple[RunLog, list[Volume]]
 
 
 def _run_search(scenario: FollowingScenario, trackers: Sequence[str]) -> dict[str, RunLog]:
-    """Return the logs of a run in which our tracker moves the probe, and the others look on.
-
-    While it follows nothing, the probe moves over the phantom; see `SearchPath`. The others see the
-    same volumes, but what they find moves nothing.
-    """
+    """Return the logs of a run in which our tracker moves the probe, and others look on."""
     geometry = make_scene(scenario).geometry
     observers = {kind: make_bench(scenario, geometry, kind) for kind in trackers if kind != OURS}
     experiment = FollowingExperiment(
@@ -95,26 +87,10 @@ def record(
 ) -> dict[str, Any]:
     """Return what a study keeps of a tracker's run.
 
-    Parameters
-    ----------
-    log
-        Log of the run.
-    volumes
-        Its volumes, of which the `conspicuous_length` is measured; without a needle, none need be
-        given.
-    in_probe
-        Whether errors and false starts are those in the probe's frame; see `as_in_probe`.
-        Otherwise, they are those in W.
-    across_depth
-        Whether errors count across the depth only.
-
-    Returns
-    -------
-    `tip_mm`, `axis_deg`: errors of each volume's estimate, None without one; `tracking`: whether
-    the volume confirmed a needle; `conspicuous_mm`: length of the needle that stands out in it;
-    `false_starts`: see `detection`; `seconds`: simulated time; `shown_s`, `travel_mm`: time for
-    which a needle is shown, and distance that the servo commands the probe to go meanwhile, while
-    there is none in the image, None if no servo follows the tracker; `inside`: `inside_stated`.
+    With `in_probe`, errors and false starts are those in the probe's frame; with `across_depth`,
+    errors count across the depth only. `conspicuous_mm`: length that stands out in each volume;
+    `shown_s`, `travel_mm`: time for which a needle is shown, and travel that the servo commands,
+    while there is none.
     """
     conspicuous = conspicuous_lengths(log, volumes)
     log = as_in_probe(log) if in_probe else log
@@ -138,10 +114,7 @@ def record(
 
 
 def conspicuous_lengths(log: RunLog, volumes: Sequence[Volume]) -> Floats:
-    """Return the length of the true needle that stands out in each volume of a log, in m.
-
-    Returns (v,) lengths; 0 without a needle, and for a volume that was not given.
-    """
+    """Return (v,) lengths in m of the true needle that stand out; 0 without needle or volume."""
     time = log.volume_time
     true_X, points = at_times(log, log.X_WP, time), at_times(log, log.needle_points, time)
     by_time = {each.time: each for each in volumes}
@@ -159,9 +132,8 @@ def conspicuous_lengths(log: RunLog, volumes: Sequence[Volume]) -> Floats:
 def as_in_probe(log: RunLog) -> RunLog:
     """Return a log whose estimates lie in W where the probe's measured pose has them in P.
 
-    Each estimate is seen from the measured pose and put into W with the true one, so that errors of
-    the pose itself do not count. The velocity and the covariances turn with it; what the needle
-    seems to move because a probe with a wrong pose moves still counts.
+    Errors of the pose itself do not count then; what the needle seems to move because a probe with
+    a wrong pose moves still does.
     """
     time = log.volume_estimate_time
     true_X, measured_X = (at_times(log, each, time) for each in (log.X_WP, log.measured_X_WP))

@@ -30,15 +30,8 @@ class SearchPath(LeafSystem):
         output_ports:
         - moving_velocity
 
-    Both velocities are (v_x, v_z, omega_y) of P, in P, in m/s and rad/s. The path leads to and fro
-    over the phantom at up to 6 mm/s, and turns the probe by up to 20 deg.
-
-    Parameters
-    ----------
-    station
-        Initial places of phantom and probe.
-    start
-        Time in s from which the probe searches.
+    Velocities are (v_x, v_z, omega_y) of P, in P, in m/s and rad/s. From `start` in s on, the path
+    leads over the phantom at up to 6 mm/s, and turns the probe by up to 20 deg.
     """
 
     def __init__(self, *, station: StationParameters, start: float) -> None:

@@ -168,11 +168,7 @@ def _figures_text(
         if not shown:
             continue
         rows = [
-            [
-                label,
-                look_up(summary, path),
-                float(paper[path]) if path in paper else "",
-            ]
+            [label, look_up(summary, path), float(paper[path]) if path in paper else ""]
             for path, label in shown.items()
         ]
         compared = any(path in paper for path in shown)

@@ -14,13 +14,7 @@ from importlib.resources import files
 from pathlib import Path
 
 import pytest
-from clusters.cases import (
-    calculate,
-    count,
-    end_process,
-    run_experiment,
-    wait_once,
-)
+from clusters.cases import calculate, count, end_process, run_experiment, wait_once
 from clusters.processes import DaskProcesses
 from distributed import Client
 

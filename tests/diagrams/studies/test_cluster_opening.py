@@ -86,20 +86,14 @@ def test_reading_a_job_queue_leaves_ctrl_c_as_it_is(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("line", "message"),
     [
-        (
-            "class: SlurmCluster",
-            "class: 'SlurmCluster' is not allowed; ",
-        ),
+        ("class: SlurmCluster", "class: 'SlurmCluster' is not allowed; "),
         ("class: [1]", r"class: \[1\] is not allowed; known: .*PBSCluster"),
         ("jobs: 0", "jobs: 0 is not allowed; expected 1 or more"),
         ("jobs: many", "jobs: 'many' is not allowed"),
         ("workers: 3", "workers: unknown field; known: arguments, class, jobs"),
         ("arguments: 3", "arguments: 3 is not allowed; expected a mapping"),
         ("arguments: {core: 3}", "arguments.core: unknown argument of SLURMCluster; did you mean"),
-        (
-            "arguments: {cores: two}",
-            "arguments.cores: 'two' is not allowed; expected a whole",
-        ),
+        ("arguments: {cores: two}", "arguments.cores: 'two' is not allowed; expected a whole"),
         ("arguments: {cores: 0}", "arguments.cores: 0 is not allowed"),
         ("arguments: {memory: 4}", "arguments.memory: 4 is not allowed; expected text"),
         ("arguments: {walltime: 120}", "arguments.walltime: 120 is not allowed"),

@@ -40,38 +40,24 @@ def test_no_file():
         read_log("absent.npz", RunLog)
 
 
-@pytest.mark.parametrize("kept", [0, 10, 0.5, 0.99])
-def test_a_truncated_file_is_refused(tmp_path, insertion_log, kept):
+@pytest.mark.parametrize("kept", [0, 10, 0.5, 0.99, 1.0])
+def test_a_truncated_or_damaged_file_is_refused(tmp_path, insertion_log, kept):
     path = write_log(tmp_path / "log.npz", insertion_log)
-    data = path.read_bytes()
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 0xFF
     path.write_bytes(data[: kept if isinstance(kept, int) else int(kept * len(data))])
     with pytest.raises(ValueError, match="log.npz: not a log, or incomplete"):
         read_log(path, RunLog)
 
 
-def test_a_damaged_file_is_refused(tmp_path, insertion_log):
-    path = write_log(tmp_path / "log.npz", insertion_log)
-    data = bytearray(path.read_bytes())
-    data[len(data) // 2] ^= 0xFF
-    path.write_bytes(data)
-    with pytest.raises(ValueError, match="log.npz: not a log, or incomplete"):
-        read_log(path, RunLog)
-
-
-def test_other_files_are_refused(tmp_path):
+def test_other_files_and_logs_of_another_kind_are_refused(tmp_path, insertion_log):
     path = tmp_path / "other.npz"
-    np.savez(path, time=np.zeros(3))
-    with pytest.raises(ValueError, match="format None"):
-        read_log(path, RunLog)
-    np.savez(path, format=FORMAT, time=np.zeros(3))
-    with pytest.raises(ValueError, match=r"lacks the arrays X_WP, X_WT, .*volume_time"):
-        read_log(path, RunLog)
-
-
-def test_a_log_of_another_kind_is_refused(tmp_path, insertion_log):
-    path = write_log(tmp_path / "log.npz", insertion_log)
+    for arrays, said in (({}, "format None"), ({"format": FORMAT}, r"lacks .* X_WP, X_WT, .*time")):
+        np.savez(path, time=np.zeros(3), **arrays)
+        with pytest.raises(ValueError, match=said):
+            read_log(path, RunLog)
     with pytest.raises(ValueError, match=r"lacks the arrays correlation, depth, .*tip_covariance"):
-        read_log(path, ShapeLog)
+        read_log(write_log(path, insertion_log), ShapeLog)
 
 
 def test_arrays_must_agree(insertion_log):

@@ -1,18 +1,8 @@
 import numpy as np
 import pytest
 from scipy.special import i0
-from tip_study.bound import (
-    envelope_log_likelihood,
-    field_log_likelihood,
-    tip_error_bound,
-)
-from tip_study.needle_end import (
-    EchoModel,
-    EndSamples,
-    NeedleEnd,
-    echo_model,
-    samples_near,
-)
+from tip_study.bound import envelope_log_likelihood, field_log_likelihood, tip_error_bound
+from tip_study.needle_end import EchoModel, EndSamples, NeedleEnd, echo_model, samples_near
 
 from sonoservo.systems.signals.point_spread import FWHM_PER_SIGMA, PointSpread
 from sonoservo.systems.signals.sweep import SweepGeometry

@@ -10,12 +10,7 @@ from sonoservo.systems.ultrasound.simulation.kernels.displacement import (
 )
 from sonoservo.systems.ultrasound.simulation.kernels.layers import add_layer, empty_layer, touch
 from sonoservo.systems.ultrasound.simulation.kernels.medium import look_up
-from sonoservo.systems.ultrasound.simulation.kernels.projection import (
-    FRACTIONS,
-    line_coordinates,
-    phasor,
-    transformed,
-)
+from sonoservo.systems.ultrasound.simulation.kernels.projection import bright_echo, transformed
 from sonoservo.systems.ultrasound.simulation.kernels.vector_addition import add_pulse
 
 SIDE_LOBE_WIDTH = 3
@@ -44,23 +39,10 @@ def add_point(layer, rays, pulse, place, closer, amplitude, shadow):  # type: ig
     The reflecting surface is closer than the point by ``closer`` m; ``shadow`` is the loss in the
     middle of the beam, of which a layer keeps the greatest.
     """
-    lines, samples = layer.loss.shape
-    taps = pulse.shape[1] // 2
-    line, e, r = line_coordinates(place[0], place[1], place[2], rays)
-    depth = r - rays.array_radius
-    at = np.int64(depth * rays.samples_per_metre + 0.5)
-    if at < 0 or at >= samples:
+    lines, taps = len(layer.loss), pulse.shape[1] // 2
+    k, fraction, line, _, at, u, c, s = bright_echo(rays, place, 1, closer, _FURTHEST_OUT)
+    if k < 0:
         return False
-    u = rays.elevation_precision[at] * e * e
-    if u > _FURTHEST_OUT:
-        return False
-    path = depth + 0.5 * rays.curvature[at] * e * e - closer
-    sample = path * rays.samples_per_metre
-    k = np.int64(sample)
-    if sample < 0 or k >= samples:
-        return False
-    fraction = np.int64((sample - k) * FRACTIONS + 0.5)
-    c, s = phasor(np.float32(path * rays.turns_per_metre))
     bright = rays.bright[at]
     re = np.float32(bright * (amplitude.real * c + amplitude.imag * s))
     im = np.float32(bright * (amplitude.imag * c - amplitude.real * s))

@@ -10,7 +10,7 @@ from sonoservo.systems.sampling.kernels import INNER, OPTIONS
 from sonoservo.systems.ultrasound.simulation.kernels.needle_push import (
     nearest_on_shaft,
     push,
-    segment_of,
+    segments_of,
 )
 
 _SHALLOWEST = 1e-4
@@ -58,6 +58,8 @@ class FrameField(NamedTuple):
     widest_push: float
     points: int
     shaft: NDArray[np.float64]
+    segments: NDArray[np.float64]
+    """See `segments_of`."""
 
 
 NO_DISPLACEMENTS = Displacements(
@@ -79,7 +81,10 @@ NO_DISPLACEMENTS = Displacements(
 def frame_field(fields, frame):  # type: ignore[no-untyped-def]
     """Return the `FrameField` of a frame; nothing moves in it if there are no fields."""
     if len(fields.counts) == 0:
-        return FrameField(0.0, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0, 0, np.empty((0, 3)))
+        return FrameField(
+            0.0, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0, 0, np.empty((0, 3)), np.empty((0, 6))
+        )
+    points = fields.counts[frame]
     return FrameField(
         fields.contacts[frame, 0],
         fields.contacts[frame, 1],
@@ -89,8 +94,9 @@ def frame_field(fields, frame):  # type: ignore[no-untyped-def]
         fields.drag_reach,
         fields.hole,
         fields.widest_push,
-        fields.counts[frame],
+        points,
         fields.shafts[frame],
+        segments_of(fields.shafts[frame, :points]),
     )
 
 
@@ -157,12 +163,13 @@ def displace(x, y, z, field, pushed, F):  # type: ignore[no-untyped-def]
     """
     dx, dy, dz, slope, px, py, pz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     if pushed and field.points > 1:
-        _, k = nearest_on_shaft(x, y, z, field)
-        dx, dy, dz, length, entry, tip = segment_of(field, k)
+        k = 0
+        if field.points > 2:
+            _, k = nearest_on_shaft(x, y, z, field)
+        dx, dy, dz = field.segments[k, 0], field.segments[k, 1], field.segments[k, 2]
         ux, uy, uz, slope, px, py, pz = push(
-            x - field.shaft[k, 0], y - field.shaft[k, 1], z - field.shaft[k, 2],
-            dx, dy, dz, length, entry, tip, field.drag, field.drag_reach, field.hole,
-        )  # fmt: skip
+            x - field.shaft[k, 0], y - field.shaft[k, 1], z - field.shaft[k, 2], k, field
+        )
         x += ux
         y += uy
         z += uz

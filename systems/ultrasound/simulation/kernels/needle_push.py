@@ -3,7 +3,7 @@
 import numpy as np
 from numba import njit
 
-from sonoservo.systems.sampling.kernels import INNER
+from sonoservo.systems.sampling.kernels import INNER, OPTIONS
 
 
 @njit(**INNER)
@@ -31,41 +31,51 @@ def nearest_on_shaft(x, y, z, field):  # type: ignore[no-untyped-def]
     return np.sqrt(least), nearest
 
 
-@njit(**INNER)
-def segment_of(field, k):  # type: ignore[no-untyped-def]
-    """Return a segment's unit direction, its length, and how far it begins from entry and tip."""
-    shaft = field.shaft
-    last = field.points - 1
-    dx = shaft[k + 1, 0] - shaft[k, 0]
-    dy = shaft[k + 1, 1] - shaft[k, 1]
-    dz = shaft[k + 1, 2] - shaft[k, 2]
-    length = max(np.sqrt(dx * dx + dy * dy + dz * dz), 1e-9)
-    dx /= length
-    dy /= length
-    dz /= length
-    entry = (shaft[k, 0] - shaft[0, 0]) * dx
-    entry += (shaft[k, 1] - shaft[0, 1]) * dy + (shaft[k, 2] - shaft[0, 2]) * dz
-    tip = (shaft[k, 0] - shaft[last, 0]) * dx
-    tip += (shaft[k, 1] - shaft[last, 1]) * dy + (shaft[k, 2] - shaft[last, 2]) * dz
-    return dx, dy, dz, length, entry, tip
+@njit(**OPTIONS)
+def segments_of(shaft):  # type: ignore[no-untyped-def]
+    """Return (m - 1, 6) segments of an (m, 3) shaft, for `push`.
+
+    They are their unit directions, their lengths, and how far they begin from entry and tip.
+    """
+    last = len(shaft) - 1
+    segments = np.empty((max(last, 0), 6))
+    for k in range(last):
+        dx = shaft[k + 1, 0] - shaft[k, 0]
+        dy = shaft[k + 1, 1] - shaft[k, 1]
+        dz = shaft[k + 1, 2] - shaft[k, 2]
+        length = max(np.sqrt(dx * dx + dy * dy + dz * dz), 1e-9)
+        dx /= length
+        dy /= length
+        dz /= length
+        entry = (shaft[k, 0] - shaft[0, 0]) * dx
+        entry += (shaft[k, 1] - shaft[0, 1]) * dy + (shaft[k, 2] - shaft[0, 2]) * dz
+        tip = (shaft[k, 0] - shaft[last, 0]) * dx
+        tip += (shaft[k, 1] - shaft[last, 1]) * dy + (shaft[k, 2] - shaft[last, 2]) * dz
+        segments[k] = (dx, dy, dz, length, entry, tip)
+    return segments
 
 
 @njit(**INNER)
-def push(px, py, pz, dx, dy, dz, length, entry, tip, drag, reach, hole):  # type: ignore[no-untyped-def]
-    """Return the displacement by a segment of a needle, and how the drag changes.
+def push(x, y, z, k, field):  # type: ignore[no-untyped-def]
+    """Return the displacement of a point by segment k of a needle, and how the drag changes.
 
     The point is relative to the segment's beginning, in m. Returned are the displacement in m, the
     slope of the drag away from the needle per m of the vector that follows, and that from the
     needle's nearest point.
     """
+    segment, hole = field.segments[k], field.hole
+    dx, dy, dz, length, entry, tip = (
+        segment[0], segment[1], segment[2], segment[3], segment[4], segment[5]
+    )  # fmt: skip
+    px, py, pz = x, y, z
     along = px * dx + py * dy + pz * dz
     clipped = min(max(along, 0.0), length)
     px -= clipped * dx
     py -= clipped * dy
     pz -= clipped * dz
     distance = np.sqrt(px * px + py * py + pz * pz)
-    u = drag * np.exp(-distance / reach)
-    slope = -u / (reach * max(distance, 1e-6))
+    u = field.drag * np.exp(-distance / field.drag_reach)
+    slope = -u / (field.drag_reach * max(distance, 1e-6))
     w = 0.0
     if hole > 0:
         over = along - clipped
@@ -93,15 +103,11 @@ def push(px, py, pz, dx, dy, dz, length, entry, tip, drag, reach, hole):  # type
 @njit(**INNER)
 def push_scatterers(moved, xs, ys, zs, x0, y0, z0, k, field):  # type: ignore[no-untyped-def]
     """Write (3, n) positions of a block's scatterers, displaced by segment k of the needle."""
-    dx, dy, dz, length, entry, tip = segment_of(field, k)
     x0 -= field.shaft[k, 0]
     y0 -= field.shaft[k, 1]
     z0 -= field.shaft[k, 2]
     for i in range(len(xs)):
-        ux, uy, uz, _, _, _, _ = push(
-            x0 + xs[i], y0 + ys[i], z0 + zs[i],
-            dx, dy, dz, length, entry, tip, field.drag, field.drag_reach, field.hole,
-        )  # fmt: skip
+        ux, uy, uz, _, _, _, _ = push(x0 + xs[i], y0 + ys[i], z0 + zs[i], k, field)
         moved[0, i] = xs[i] + ux
         moved[1, i] = ys[i] + uy
         moved[2, i] = zs[i] + uz

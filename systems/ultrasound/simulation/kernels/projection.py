@@ -89,6 +89,30 @@ def phasor(turns):  # type: ignore[no-untyped-def]
 
 
 @njit(**INNER)
+def bright_echo(rays, place, times, closer, furthest):  # type: ignore[no-untyped-def]
+    """Return where and with which phase a bright point in F shows after a number of round trips.
+
+    Returned are the first sample of its echo (-1 if the frame does not see it), the pulse's
+    fraction, the line, the distance from the array's centre in m, the sample at its depth, half the
+    square of its standard deviations in elevation, of which ``furthest`` is the most, and cosine
+    and sine of the phase. The reflecting surface is closer than the point by ``closer`` m.
+    """
+    line, e, r = line_coordinates(place[0], place[1], place[2], rays)
+    depth = r - rays.array_radius
+    at = np.int64(depth * rays.samples_per_metre + 0.5)
+    if at < 0 or at >= rays.bright.size:
+        return -1, 0, line, r, 0, 0.0, _ONE, _ONE
+    u = rays.elevation_precision[at] * e * e
+    path = times * (depth + 0.5 * rays.curvature[at] * e * e) - closer
+    sample = path * rays.samples_per_metre
+    k = np.int64(sample)
+    if u > furthest or sample < 0 or k >= rays.bright.size:
+        return -1, 0, line, r, at, u, _ONE, _ONE
+    c, s = phasor(np.float32(path * rays.turns_per_metre))
+    return k, np.int64((sample - k) * FRACTIONS + 0.5), line, r, at, u, c, s
+
+
+@njit(**INNER)
 def transformed(X, x, y, z):  # type: ignore[no-untyped-def]
     """Return the coordinates of a point after a (3, 4) transform."""
     return (

@@ -14,9 +14,8 @@ from sonoservo.systems.ultrasound.simulation.kernels.layers import (
 from sonoservo.systems.ultrasound.simulation.kernels.pieces import place_pieces
 from sonoservo.systems.ultrasound.simulation.kernels.projection import (
     FRACTIONS,
+    bright_echo,
     gaussian,
-    line_coordinates,
-    phasor,
 )
 from sonoservo.systems.ultrasound.simulation.kernels.vector_addition import add_pulse
 
@@ -50,19 +49,8 @@ def _add_piece(layer, rays, pieces, i, place, times, level, kind):  # type: igno
     step = pieces.steps[i]
     lines, samples = layer.loss.shape
     pad = (layer.echoes.shape[1] // 2 - samples) // 2
-    line, e, r = line_coordinates(place[0], place[1], place[2], rays)
-    depth = r - rays.array_radius
-    at = np.int64(depth * rays.samples_per_metre + 0.5)
-    if at < 0 or at >= samples:
-        return
-    precision_e = rays.elevation_precision[at]
-    u = precision_e * e * e
-    if u > FURTHEST:
-        return
-    path = times * (depth + 0.5 * rays.curvature[at] * e * e)
-    sample = path * rays.samples_per_metre
-    k = np.int64(sample)
-    if sample < 0 or k >= samples:
+    k, fraction, line, r, at, u, c, s = bright_echo(rays, place, times, 0.0, FURTHEST)
+    if k < 0:
         return
     # Echoes in phase from piece to piece produce the dependence on angle by themselves, as long as
     # the pieces are dense enough for the angle. Beyond it, specular sound has long vanished.
@@ -70,9 +58,8 @@ def _add_piece(layer, rays, pieces, i, place, times, level, kind):  # type: igno
     turns = 2 * times * rays.turns_per_metre * step * sine / 0.8
     squared = turns * turns
     smooth = np.exp(-(squared ** (_NYQUIST_POWER // 2)))
-    row = kind * (FRACTIONS + 1) + np.int64((sample - k) * FRACTIONS + 0.5)
+    row = kind * (FRACTIONS + 1) + fraction
     width = pieces.widths[kind]
-    c, s = phasor(np.float32(path * rays.turns_per_metre))
     bright = rays.bright[at]
     real = specular * smooth + diffuse.real
     re = np.float32(bright * (real * c + diffuse.imag * s))
@@ -89,7 +76,7 @@ def _add_piece(layer, rays, pieces, i, place, times, level, kind):  # type: igno
     reach = np.sqrt((furthest - u) / precision)
     lowest = np.int64(max(np.ceil(line - reach), 0.0))
     highest = np.int64(min(np.floor(line + reach), lines - 1.0))
-    share = blocked * np.sqrt(precision_e * precision) / np.pi
+    share = blocked * np.sqrt(rays.elevation_precision[at] * precision) / np.pi
     # Parts beyond the furthest count as within.
     share *= rays.lines_per_radian / max(r, 1e-3) / (1 - np.exp(-furthest))
     start = k - rays.lead + pad

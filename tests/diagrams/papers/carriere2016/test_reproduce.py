@@ -70,6 +70,10 @@ def test_each_row_has_both_methods_the_paper_s_figure_and_an_interval(rows):
     assert (tip.published_low, tip.published_high) == (-np.inf, np.inf)
     assert rows["d60", "tip error, standard deviation"].paper == 0.38
     assert rows["patient", "shape error, mean"].paper == PAPER["patient"]["shape"]
+    # Without the error of the search for cross-sections, what is left is the filter's own.
+    exact = rows["d60", "tip error, filter as printed, exact cross-sections, mean"]
+    assert exact.published_true > 0
+    assert exact.true is None
     share = rows["patient", "needles followed to the end"]
     # Wilson's interval of two of two.
     assert (share.true, share.low) == (100.0, pytest.approx(34.24, abs=0.01))

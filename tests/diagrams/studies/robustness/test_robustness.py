@@ -18,27 +18,11 @@ from sonoservo.diagrams.papers.registry import STUDIES, require_paper
 from sonoservo.diagrams.published import PAPERS
 from sonoservo.diagrams.studies import records, run_group
 from sonoservo.diagrams.studies.robustness import reproduction
-from sonoservo.diagrams.studies.robustness.analysis import (
-    Group,
-    Record,
-    chased,
-    threshold,
-)
-from sonoservo.diagrams.studies.robustness.graded_dials import (
-    GRADED,
-    PLAIN,
-    scenario_of,
-    turned,
-)
+from sonoservo.diagrams.studies.robustness.analysis import Group, Record, chased, threshold
+from sonoservo.diagrams.studies.robustness.graded_dials import GRADED, PLAIN, scenario_of, turned
 from sonoservo.diagrams.studies.robustness.planned_motion import MotionPlan
 from sonoservo.diagrams.studies.robustness.report import report
-from sonoservo.diagrams.studies.robustness.runs import (
-    OURS,
-    TRACKERS,
-    as_in_probe,
-    record,
-    run_case,
-)
+from sonoservo.diagrams.studies.robustness.runs import OURS, TRACKERS, as_in_probe, record, run_case
 from sonoservo.diagrams.studies.robustness.search_path import SearchPath
 from sonoservo.diagrams.studies.study import Case, Outcome, StudyOptions
 from sonoservo.diagrams.studies.study_report import write_study

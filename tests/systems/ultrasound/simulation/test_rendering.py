@@ -1,6 +1,7 @@
 """Contact, the phantom's bounds and grey levels of a rendered sweep."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from renderers import CLEAN, DOWN, NOWHERE, make_renderer, needle_through, still
 
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
 from sonoservo.systems.ultrasound.simulation.frame_renderer import FrameRenderer, Frames
+from sonoservo.systems.ultrasound.simulation.needles import NeedleEchoParameters
 from sonoservo.systems.ultrasound.simulation.rendering import SweepRenderer
 from sonoservo.systems.ultrasound.simulation.tissue import Tissue
 from sonoservo.systems.ultrasound.transducer import Transducer
@@ -134,6 +136,31 @@ def test_frames_begun_for_another_sweep_are_not_used(changed):
     for part in renderer.groups(1):
         renderer.begin(other.among(part), 4 if changed == "number" else 5)
     assert (render(renderer, frames) == expected).all()
+
+
+def test_what_is_kept_of_a_needle_at_rest_does_not_show():
+    """Each sweep is that of a renderer that has not seen the ones before; fading changes it."""
+    lying = needle_through([-0.038, -0.012, -0.15], 0.3, 0.0)  # its tip is in the middle
+    withdrawn = replace(lying, shaft=lying.shaft - [0.004, 0, 0])
+    echo = NeedleEchoParameters(tip="bevel", fading_db=3.0)
+    renderer = make_renderer(needle=echo, track_db=0.0, sector=0.2)
+    sweeps = [
+        (lying, 0.0),
+        (lying, 0.0),
+        (lying, 2.0),
+        (replace(lying, roll=2.0), 2.0),
+        (replace(lying, radius=0.4e-3), 2.0),
+        (withdrawn, 2.0),
+        (replace(withdrawn, track=np.stack([withdrawn.tip, lying.tip])), 2.0),
+        (NOWHERE, 2.0),
+    ]
+    shown = []
+    for needle, time in sweeps:
+        arguments = still(renderer), [needle] * 27, 1, 0, np.full(27, time)
+        fresh = make_renderer(needle=echo, track_db=0.0, sector=0.2)
+        shown.append(renderer.render(*arguments))
+        assert (shown[-1] == fresh.render(*arguments)).all()
+    assert [bool((a != b).any()) for a, b in pairwise(shown)] == [False, *[True] * 6]
 
 
 def test_only_so_many_frames_are_begun_before_anybody_asks():
