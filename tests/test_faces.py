@@ -24,8 +24,13 @@ WITHOUT = {
         f"diagrams.app{room}": "what a person types; the face of diagrams has it for Python"
         for room in ("", ".commands", ".kept_runs", ".live", ".pages", ".volumes")
     },
+    **{
+        f"diagrams.studies.{room}": "parts of a study; the face of studies has what a user calls"
+        for room in ("cluster", "datasets", "following")
+    },
     "models": "its one function stands in its __init__",
     "systems": "a folder of rooms",
+    "systems.evaluation.shape": "its users' names are on the face of evaluation",
     "systems.files": "formats and safe writing, for the rooms above it",
     "systems.display": "a folder of rooms",
     "systems.sampling": "compiled loops that only the rooms beside it call",

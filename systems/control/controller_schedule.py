@@ -4,16 +4,11 @@ from bisect import bisect_right
 from dataclasses import dataclass
 
 from sonoservo.systems.signals.immutable import Immutable
-from sonoservo.systems.signals.requirements import (
-    Time,
-    check_bounds,
-    require_not_negative,
-    require_positive,
-)
+from sonoservo.systems.signals.requirements import Bounded, NotNegative, Positive, Time
 
 
 @dataclass(kw_only=True)
-class ControllerChange:
+class ControllerChange(Bounded):
     """One change of the controller's settings during a run.
 
     Parameters
@@ -27,15 +22,8 @@ class ControllerChange:
     """
 
     time: Time = 0.0
-    gain: float | None = None
-    force: float | None = None
-
-    def __post_init__(self) -> None:
-        check_bounds(self)
-        if self.gain is not None:
-            require_not_negative(gain=self.gain)
-        if self.force is not None:
-            require_positive(force=self.force)
+    gain: NotNegative | None = None
+    force: Positive | None = None
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ Floats = NDArray[np.float64]
 
 
 class Interval(NamedTuple):
-    """Ends of a 95 % confidence interval; both are NaN if too little is known for one."""
+    """Ends of a 95 % confidence interval; `UNBOUNDED` if too few runs tell anything."""
 
     low: float
     high: float

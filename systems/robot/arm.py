@@ -23,11 +23,11 @@ from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.typed_yaml import load_typed, read_yaml
 from sonoservo.systems.robot.directives import add_directives, motors, resolve_files
 from sonoservo.systems.robot.probe_body import AddProbeBody, ProbeBody
-from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
+from sonoservo.systems.signals.requirements import Bounded, NotNegative, Positive, require
 
 
 @dataclass(kw_only=True)
-class JointServo:
+class JointServo(Bounded):
     """Gains of the joint servos, in the order of the joints.
 
     Parameters
@@ -38,17 +38,12 @@ class JointServo:
         Dampings in N m s/rad.
     """
 
-    p: list[float] = field(default_factory=list)
-    d: list[float] = field(default_factory=list)
-
-    def __post_init__(self) -> None:
-        for number, (p, d) in enumerate(zip(self.p, self.d, strict=False)):
-            require_positive(**{f"p.{number}": p})
-            require_not_negative(**{f"d.{number}": d})
+    p: list[Positive] = field(default_factory=list)
+    d: list[NotNegative] = field(default_factory=list)
 
 
 @dataclass(kw_only=True)
-class Arm:
+class Arm(Bounded):
     """Description of an arm in a YAML file; `load_arm` reads one.
 
     Parameters
@@ -76,11 +71,7 @@ class Arm:
     flange: str = "flange"
     servo: JointServo = field(default_factory=JointServo)
     max_speed: list[float] = field(default_factory=list)
-    torque_error: list[float] = field(default_factory=list)
-
-    def __post_init__(self) -> None:
-        for number, error in enumerate(self.torque_error):
-            require_positive(**{f"torque_error.{number}": error})
+    torque_error: list[Positive] = field(default_factory=list)
 
 
 @dataclass(frozen=True)

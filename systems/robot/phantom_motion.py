@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Annotated, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,15 +11,26 @@ from pydrake.trajectories import FunctionHandleTrajectory, PiecewisePolynomial, 
 
 from sonoservo.systems.signals.requirements import (
     MAX_TIME,
+    Bound,
+    Bounded,
     Time,
-    check_bounds,
+    count_of,
     require,
-    require_within,
+    within,
 )
+
+Direction: TypeAlias = Annotated[
+    list[float],
+    Bound(
+        "three numbers, not all 0",
+        lambda value: len(value) == 3 and bool(np.isfinite(value).all()) and any(value),
+    ),
+]
+"""(3,) direction of any length."""
 
 
 @dataclass(kw_only=True)
-class Move:
+class Move(Bounded):
     """One smooth displacement of the phantom, from rest to rest.
 
     Parameters
@@ -32,21 +44,17 @@ class Move:
     """
 
     start: Time = 0.0
-    duration: float = 1.0
-    translation: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
-    rotation_deg: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
-
-    def __post_init__(self) -> None:
-        check_bounds(self)
-        require_within("duration", self.duration, 1e-3, MAX_TIME)
-        require(len(self.translation) == 3, "translation", self.translation, "three lengths in m")
-        for length in self.translation:
-            require_within("translation", length, -1.0, 1.0)
-        require(len(self.rotation_deg) == 3, "rotation_deg", self.rotation_deg, "three angles")
+    duration: Annotated[float, within(1e-3, MAX_TIME, " s")] = 1.0
+    translation: Annotated[
+        list[Annotated[float, within(-1, 1, " m")]], count_of(3, "lengths in m")
+    ] = field(default_factory=lambda: [0.0, 0.0, 0.0])
+    rotation_deg: Annotated[list[float], count_of(3, "angles")] = field(
+        default_factory=lambda: [0.0, 0.0, 0.0]
+    )
 
 
 @dataclass(kw_only=True)
-class Breathing:
+class Breathing(Bounded):
     """Periodic displacement of the phantom, as by a patient's breath.
 
     The displacement at time t is peak_to_peak sin^(2 n)(pi rate t) along the direction. It is the
@@ -64,23 +72,10 @@ class Breathing:
         Exponent n from 1 (a sine) to 4; the larger, the longer the rest between breaths.
     """
 
-    peak_to_peak: float = 0.0
-    rate: float = 0.25
-    direction: list[float] = field(default_factory=lambda: [1.0, 0.0, 0.0])
-    exponent: int = 1
-
-    def __post_init__(self) -> None:
-        for name, low, high, unit in (
-            ("peak_to_peak", 0.0, 0.015, "m"),
-            ("rate", 0.1, 0.5, "Hz"),
-        ):
-            value = getattr(self, name)
-            require(low <= value <= high, name, value, f"from {low:g} to {high:g} {unit}")
-        finite = len(self.direction) == 3 and bool(np.isfinite(self.direction).all())
-        require(
-            finite and any(self.direction), "direction", self.direction, "three numbers, not all 0"
-        )
-        require(self.exponent in range(1, 5), "exponent", self.exponent, "1, 2, 3 or 4")
+    peak_to_peak: Annotated[float, within(0, 0.015, " m")] = 0.0
+    rate: Annotated[float, within(0.1, 0.5, " Hz")] = 0.25
+    direction: Direction = field(default_factory=lambda: [1.0, 0.0, 0.0])
+    exponent: Annotated[int, Bound("1, 2, 3 or 4", range(1, 5).__contains__)] = 1
 
     def displacement(self, time: float) -> NDArray[np.float64]:
         """Return the (3,) displacement in W at a time in s, in m."""

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +30,7 @@ from pydrake.multibody.tree import (
 from pydrake.systems.framework import DiagramBuilder
 
 from sonoservo.systems.robot.directives import add_directives
-from sonoservo.systems.signals.requirements import Positive, check_bounds, require
+from sonoservo.systems.signals.requirements import Bound, Bounded, Positive
 
 _FLAT = 1.0  # Radius of curvature in m from which a face counts as flat
 _MARGIN = 5e-3  # Assumed width and depth in m of the housing's rim around a flat array
@@ -37,7 +38,7 @@ _DOME_COLOUR, _HOUSING_COLOUR = (0.20, 0.22, 0.25, 1.0), (0.85, 0.87, 0.88, 1.0)
 
 
 @dataclass(kw_only=True)
-class AssumedBody:
+class AssumedBody(Bounded):
     """Body of a probe with an unknown housing: a dome on a cylinder.
 
     Parameters
@@ -51,18 +52,11 @@ class AssumedBody:
         Distance from the centre of the face to the wrist force sensor, in m.
     """
 
-    dome: list[float] = field(default_factory=list)
+    dome: Annotated[
+        list[Positive], Bound("three lengths in m, or empty", lambda value: len(value) in (0, 3))
+    ] = field(default_factory=list)
     mass: Positive = 0.5
     length: Positive = 0.2
-
-    def __post_init__(self) -> None:
-        require(
-            not self.dome or (len(self.dome) == 3 and min(self.dome) > 0),
-            "dome",
-            self.dome,
-            "three lengths above 0, in m",
-        )
-        check_bounds(self)
 
 
 def _in_line_with_the_flange() -> Transform:

@@ -1,6 +1,8 @@
 """Leaf system that simulates a force sensor between flange and probe."""
 
+import math
 from dataclasses import dataclass
+from typing import Annotated, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,16 +12,19 @@ from pydrake.multibody.tree import JointIndex
 from pydrake.systems.framework import Context, LeafSystem
 
 from sonoservo.systems.signals.requirements import (
+    Bound,
+    Bounded,
     NotNegative,
-    check_bounds,
-    require,
     require_not_negative,
     require_positive,
 )
 
+Finite: TypeAlias = Annotated[float, Bound("a number", math.isfinite)]
+"""Number of any size."""
+
 
 @dataclass(kw_only=True)
-class WristSensorParameters:
+class WristSensorParameters(Bounded):
     """Noise and errors of the wrist force sensor.
 
     Parameters
@@ -34,16 +39,10 @@ class WristSensorParameters:
 
     force_noise: NotNegative = 0.02
     torque_noise: NotNegative = 0.001
-    force_bias: float = 0.0
-    torque_bias: float = 0.0
-    force_drift: float = 0.0
-    torque_drift: float = 0.0
-
-    def __post_init__(self) -> None:
-        check_bounds(self)
-        for name in ("force_bias", "torque_bias", "force_drift", "torque_drift"):
-            value = getattr(self, name)
-            require(bool(np.isfinite(value)), name, value, "a number")
+    force_bias: Finite = 0.0
+    torque_bias: Finite = 0.0
+    force_drift: Finite = 0.0
+    torque_drift: Finite = 0.0
 
 
 class WristForceSensor(LeafSystem):

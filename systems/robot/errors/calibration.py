@@ -1,21 +1,18 @@
 """Errors of an arm's calibration: place and mass of the probe, and zero positions of the joints."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.common.eigen_geometry import AngleAxis
 from pydrake.math import RigidTransform, RotationMatrix
 
-from sonoservo.systems.signals.requirements import (
-    NotNegative,
-    check_bounds,
-    require,
-)
+from sonoservo.systems.signals.requirements import Bounded, NotNegative, above, within
 
 
 @dataclass(kw_only=True)
-class CalibrationParameters:
+class CalibrationParameters(Bounded):
     """Errors of the calibration; their directions are drawn once for each run.
 
     Parameters
@@ -30,18 +27,10 @@ class CalibrationParameters:
         Relative error of the probe's mass in the gravity compensation; 0.05 is 5 % too heavy.
     """
 
-    hand_eye_translation: NotNegative = 0.0
-    hand_eye_rotation_deg: NotNegative = 0.0
+    hand_eye_translation: Annotated[float, within(0, 0.1, " m")] = 0.0
+    hand_eye_rotation_deg: Annotated[float, within(0, 45, " deg")] = 0.0
     joint_offset_deg: NotNegative = 0.0
-    probe_mass: float = 0.0
-
-    def __post_init__(self) -> None:
-        check_bounds(self)
-        shift, angle = self.hand_eye_translation, self.hand_eye_rotation_deg
-        require(shift <= 0.1, "hand_eye_translation", shift, "at most 0.1 m; lengths are in m")
-        require(angle <= 45, "hand_eye_rotation_deg", angle, "at most 45 deg")
-        mass = self.probe_mass
-        require(bool(np.isfinite(mass)) and mass > -1, "probe_mass", mass, "a number above -1")
+    probe_mass: Annotated[float, above(-1)] = 0.0
 
     @property
     def moves_probe(self) -> bool:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,12 +16,13 @@ from pydrake.systems.framework import (
     OutputPort,
 )
 
+from sonoservo.systems.robot.wrist_force_sensor import Finite
 from sonoservo.systems.signals.ports import evaluate
 from sonoservo.systems.signals.requirements import (
+    Bounded,
     PositiveTime,
     Time,
-    check_bounds,
-    require,
+    one_of,
     require_not_negative,
     require_positive,
 )
@@ -30,7 +32,7 @@ KINDS = ("nan", "frozen", "saturated", "jumping", "bias", "dead")
 
 
 @dataclass(kw_only=True)
-class SensorFault:
+class SensorFault(Bounded):
     """One fault of the wrist force sensor during a run.
 
     Parameters
@@ -46,15 +48,10 @@ class SensorFault:
         Force in N.
     """
 
-    kind: str = "nan"
+    kind: Annotated[str, one_of(*KINDS)] = "nan"
     start: Time = 0.0
     duration: PositiveTime = 1.0
-    value: float = 0.0
-
-    def __post_init__(self) -> None:
-        require(self.kind in KINDS, "kind", self.kind, f"one of {', '.join(KINDS)}")
-        check_bounds(self)
-        require(bool(np.isfinite(self.value)), "value", self.value, "a force in N")
+    value: Finite = 0.0
 
     def holds(self, time: float) -> bool:
         """Return True during the fault; ``time`` is in s."""

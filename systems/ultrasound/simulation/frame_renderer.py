@@ -20,7 +20,11 @@ from sonoservo.systems.ultrasound.simulation.kernels.echo import (
     Scattering,
     render_tissue,
 )
-from sonoservo.systems.ultrasound.simulation.kernels.image_formation import form_image
+from sonoservo.systems.ultrasound.simulation.kernels.image_formation import (
+    Acquired,
+    Console,
+    form_image,
+)
 from sonoservo.systems.ultrasound.simulation.kernels.layers import expand_gains
 from sonoservo.systems.ultrasound.simulation.kernels.line_blur import line_kernel
 from sonoservo.systems.ultrasound.simulation.kernels.medium import Sights
@@ -117,8 +121,7 @@ class FrameRenderer:
         seed: int,
     ) -> None:
         self.geometry: SweepGeometry = sweep_geometry(transducer, imaging)
-        self._parameters, self._imaging, self._seed = parameters, imaging, seed
-        self._box = tissue.surface.bounds
+        self._parameters, self._seed = parameters, seed
         sound_speed = tissue.sound_speed or imaging.sound_speed
         # Samples are times; lengths in the tissue follow from its own speed of sound.
         ratio = sound_speed / imaging.sound_speed
@@ -168,19 +171,25 @@ class FrameRenderer:
             frequency=imaging.transmit_frequency,
         )
         self._scattering = Scattering(
-            box=self._box,
+            box=tissue.surface.bounds,
             tile=tile,
             regions=self._scene.regions,
             pulse=np.repeat(pulses.tabulate([amplitude], [0.0])[:, ::2], 2, axis=1),
             kernel=line_kernel(line_widths(geometry, self.beam), geometry.lines),
         )
         loss_db = 2 * tissue.attenuation * 1e-6 * imaging.transmit_frequency * 1e2 * depths
-        self._noise = (10 ** ((parameters.noise_db + loss_db) / 20)).astype(np.float32)
         rng = np.random.default_rng([seed, 6])
         errors_db = gain_errors(parameters.gain_error_db, geometry.samples, rng)
-        self._offsets = (imaging.tissue_grey + imaging.grey_per_db * errors_db).astype(np.float32)
         clutter = 10 ** (parameters.clutter_db / 20) * np.exp(-depths / parameters.clutter_length)
-        self._clutter = np.repeat(clutter.astype(np.float32), 2)
+        self._console = Console(
+            box=tissue.surface.bounds,
+            gel_thickness=float(parameters.gel_thickness),
+            noise=(10 ** ((parameters.noise_db + loss_db) / 20)).astype(np.float32),
+            grey_per_db=float(imaging.grey_per_db),
+            offsets=(imaging.tissue_grey + imaging.grey_per_db * errors_db).astype(np.float32),
+            clutter=np.repeat(clutter.astype(np.float32), 2),
+            lasting=float(np.sqrt(1 - parameters.decorrelation)),
+        )
         self._changing = np.sqrt(parameters.decorrelation) * 10 ** (tissue.level_db / 20)
         self._field = np.zeros((self.geometry.frames, 0, 0), np.complex64)
         if parameters.clutter_db > -200 or parameters.decorrelation > 0:
@@ -265,22 +274,15 @@ class FrameRenderer:
         grey = np.empty(iq.shape, np.uint8)
         origins, directions = self._lines[frames.direction]
         keys = np.random.SeedSequence([self._seed, number])
-        form_image(
-            grey,
-            iq,
+        turned = np.exp(1j * frames.times / self._parameters.decorrelation_time)
+        acquired = Acquired(
             np.ascontiguousarray(frames.X_TP[:, :3]),
-            self._box,
             origins[frames.part],
             directions[frames.part],
-            self._parameters.gel_thickness,
             self._air.open_shares(frames.times, frames.part),
-            self._noise,
             keys.generate_state(self.geometry.frames, np.uint64)[frames.part],
-            self._imaging.grey_per_db,
-            self._offsets,
             self._field[frames.part],
-            self._clutter,
-            self._changing * np.exp(1j * frames.times / self._parameters.decorrelation_time),
-            np.sqrt(1 - self._parameters.decorrelation),
+            self._changing * turned,
         )
+        form_image(grey, iq, self._console, acquired)
         return grey

@@ -171,19 +171,7 @@ class Scene:
         R = np.swapaxes(X_FT[:, :, :3], 1, 2)
         X_TF = np.ascontiguousarray(np.concatenate([R, -R @ X_FT[:, :, 3:]], axis=2))
         paths = self._paths
-        integrate_paths(
-            gains,
-            delays,
-            X_TF,
-            medium,
-            paths.labels,
-            paths.origin,
-            1 / paths.spacing,
-            paths.loss_rate,
-            paths.delay_rate,
-            geometry.line_pitch,
-            twist,
-        )
+        integrate_paths(gains, delays, X_TF, medium, paths, geometry.line_pitch, twist)
         if paths.delay_rate.any():
             medium = medium._replace(delays=delays)
         return self._tabulated(medium), gains, 1 / _NODE

@@ -63,25 +63,11 @@ def test_slices_that_were_lost_are_missing_and_the_others_keep_their_depth():
     np.testing.assert_array_equal(some.true, whole.true[kept])
 
 
-def test_recorded_cross_sections_give_what_the_live_run_gave(experiment):
-    estimator = experiment.make_estimator("particle_filter")
-    shapes = estimate_shape(estimator, experiment.cross_sections)
-    assert np.array_equal(shapes[-1].tip, experiment.shape.tip)
-
-
 @pytest.mark.parametrize("name", ESTIMATORS)
 def test_every_estimator_takes_the_same_cross_sections(experiment, name):
     shapes = estimate_shape(experiment.make_estimator(name), experiment.cross_sections)
     assert isinstance(shapes[-1], NeedleShape)
     assert np.isfinite(shapes[-1].predict([0.04])[0]).all()
-
-
-def test_estimators_never_see_the_truth(experiment):
-    names = {system.get_name() for system in experiment.diagram.GetSystems()}
-    assert "shape_predictor" in names
-    predictor = experiment.shape_predictor
-    ports = {predictor.get_input_port(i).get_name() for i in range(predictor.num_input_ports())}
-    assert ports == {"slice"}
 
 
 def test_a_run_leaves_its_files(tmp_path):

@@ -33,7 +33,7 @@ class World(LeafSystem):
         self.velocity, self.pressing, self.shift = np.zeros(N), 0.0, np.zeros(3)
         self.q, self.frozen = HOME.copy(), None
         self.silent, self.sample = False, None
-        self.felt_by_arm, self.torque_shift = None, 0.0
+        self.felt_by_arm, self.torque = None, None
         self.DeclareVectorInputPort("joint_command", 2 * N)
         self.DeclareVectorOutputPort(
             "wanted_command", 2 * N, self._calc_wanted, {self.time_ticket()}
@@ -80,7 +80,8 @@ class World(LeafSystem):
         )  # fmt: skip
         force = self.pressing if self.felt_by_arm is None else self.felt_by_arm
         noise = 1e-3 * np.random.default_rng(round(1e6 * context.get_time())).standard_normal(N)
-        output.SetFromVector(J[3:].T @ [0, -force, 0] + noise + self.torque_shift)
+        torque = J[3:].T @ [0, -force, 0] + noise if self.torque is None else self.torque
+        output.SetFromVector(torque)
 
     def _calc_confirmation(self, context, output):
         output.SetFromVector([self.confirmations])
@@ -244,14 +245,13 @@ def test_the_body_that_comes_after_a_held_probe_makes_it_retreat_again(rig):
     assert moved.translation()[1] < -0.9 * GuardParameters().clearance
 
 
-@pytest.mark.parametrize("shift", [np.nan, 0.0])
-def test_torques_that_are_no_numbers_or_frozen_are_no_witness(rig, shift):
-    if rig.alone:
-        return
+@pytest.mark.parametrize("rig", [True], indirect=True)
+@pytest.mark.parametrize(("torque", "reason"), [(np.nan, "not numbers"), (0.1, "frozen")])
+def test_torques_that_are_no_numbers_or_frozen_are_no_witness(rig, torque, reason):
     rig.run(0.1)
-    rig.world.torque_shift = np.nan
-    assert "not numbers" in rig.run(0.1).reason
-    rig.world.torque_shift = 0.0
+    rig.world.torque = np.full(N, torque)
+    assert f"torques of the arm are {reason}" in rig.run(0.1).reason
+    rig.world.torque = None
     assert not rig.run(0.6).stopped
 
 

@@ -116,17 +116,6 @@ def test_leaf_reads_its_ports():
     np.testing.assert_array_equal(velocity, planar_velocity(estimate(), X_WP, 0.1, PAPER))
 
 
-def test_leaf_refuses_what_is_no_estimate():
-    servo = VisualServo(parameters=PAPER)
-    context = servo.CreateDefaultContext()
-    servo.GetInputPort("estimate").FixValue(context, Value[object](42))
-    servo.GetInputPort("X_WP").FixValue(context, X_WP)
-    with pytest.raises(
-        TypeError, match="'estimate'.*received a value of type int; expected NeedleEstimate"
-    ):
-        servo.GetOutputPort("planar_velocity").Eval(context)
-
-
 @pytest.mark.parametrize(
     ("mode", "age", "std", "reason"),
     [
@@ -146,14 +135,6 @@ def test_the_probe_holds_for_a_reason(mode, age, std, reason):
     context.SetTime(age)
     servo.GetInputPort("estimate").FixValue(context, Value[object](uncertain))
     assert servo.GetOutputPort("hold_reason").Eval(context) == reason
-
-
-@pytest.mark.parametrize(
-    ("field", "value"), [("gain", -1.0), ("max_speed", 0.0), ("stale_after", float("nan"))]
-)
-def test_parameters_name_what_is_wrong(field, value):
-    with pytest.raises(ValueError, match=field):
-        VisualServoParameters(**{field: value})
 
 
 def test_the_gain_may_come_in_by_its_port():

@@ -217,14 +217,6 @@ def test_in_a_diagram_every_sample_and_volume_is_kept_once():
     assert log.estimate_mode[7] == "tracking"
 
 
-def test_volumes_are_kept_without_their_beat_too():
-    logger = RunLogger()
-    simulator = simulate(logger)
-    simulator.AdvanceTo(2.0)
-    log = log_of(logger, simulator)
-    np.testing.assert_allclose(log.volume_time, 0.1 + 0.25 * np.arange(8))
-
-
 @pytest.mark.parametrize("another_context", [False, True])
 def test_each_run_begins_anew(another_context):
     logger = RunLogger()

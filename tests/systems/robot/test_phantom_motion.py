@@ -72,9 +72,6 @@ def test_breath_with_a_larger_exponent_rests_longer():
 @pytest.mark.parametrize(
     ("name", "value"),
     [
-        ("peak_to_peak", 0.016),
-        ("peak_to_peak", float("nan")),
-        ("rate", 0.6),
         ("direction", [0, 0, 0]),
         ("exponent", 5),
     ],

@@ -1,5 +1,4 @@
 import numpy as np
-import pytest
 from pydrake.common.value import Value
 from pydrake.multibody.math import SpatialForce
 from pydrake.multibody.tree import JointIndex
@@ -56,11 +55,3 @@ def test_bias_is_constant_and_drift_grows_with_time():
     read = readings([0.0, 50.0], **QUIET, **bias, **drift) - np.arange(6.0)
     np.testing.assert_allclose(read[0], 3 * [-0.01] + 3 * [0.3])
     np.testing.assert_allclose(read[1] - read[0], 3 * [0.005] + 3 * [0.1])
-
-
-@pytest.mark.parametrize(
-    ("field", "value"), [("force_noise", -1), ("force_bias", np.nan), ("torque_drift", np.inf)]
-)
-def test_a_parameter_out_of_range_is_named(field, value):
-    with pytest.raises(ValueError, match=field):
-        WristSensorParameters(**{field: value})

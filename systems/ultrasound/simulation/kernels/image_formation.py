@@ -1,7 +1,10 @@
 """Formation of grey levels (coupling, noise, log compression) and radio-frequency lines."""
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from sonoservo.systems.sampling.kernels import INNER, OPTIONS
 from sonoservo.systems.ultrasound.simulation.kernels.body import way_through
@@ -15,39 +18,57 @@ _L1, _L2, _L3, _L4, _L5, _L6 = (
 )
 
 
-@njit(**OPTIONS)
-def form_image(  # type: ignore[no-untyped-def]
-    grey,
-    iq,
-    X_TP,
-    box,
-    origins,
-    directions,
-    gel_thickness,
-    open_shares,
-    noise,
-    keys,
-    grey_per_db,
-    offsets,
-    field,
-    clutter,
-    changing,
-    lasting,
-):
-    """Convert every frame's echoes to (frames, lines, samples) uint8 grey levels.
+class Console(NamedTuple):
+    """What makes grey levels of all echoes."""
 
-    See `coupling` and `compress`; ``open_shares`` are (frames, lines) factors on lines under which
-    air lies, ``field`` is the probe's (frames, lines, samples) speckle or empty, ``clutter`` the (2
-    samples,) amplitude of the part that stays, every value twice, ``changing`` the (frames,)
-    amplitudes of the part that changes, whose real and imaginary part weigh two fields, and
-    ``lasting`` the factor on tissue.
-    """
+    box: NDArray[np.float64]
+    """Bounds of the tissue in T, in m; see `BodySurface.bounds`."""
+    gel_thickness: float
+    noise: NDArray[np.float32]
+    """(samples,) root mean square of the electronic noise."""
+    grey_per_db: float
+    offsets: NDArray[np.float32]
+    """(samples,) grey levels at 0 dB."""
+    clutter: NDArray[np.float32]
+    """(2 samples,) amplitudes of the haze that stays, every value twice."""
+    lasting: float
+    """Factor on the tissue's echoes, of which a part changes."""
+
+
+class Acquired(NamedTuple):
+    """Of n frames, where they were acquired and what is added to their echoes."""
+
+    X_TP: NDArray[np.float64]
+    """(n, 3, 4) poses of the probe in the tissue."""
+    origins: NDArray[np.float64]
+    directions: NDArray[np.float64]
+    """(n, lines, 3) rays of the lines in P; see `coupling`."""
+    open_shares: NDArray[np.float32]
+    """(n, lines) factors on lines under which air lies."""
+    keys: NDArray[np.unsignedinteger]
+    """(n,) numbers that select the noise."""
+    field: NDArray[np.complex64]
+    """(n, lines, samples) speckle of the probe, or empty."""
+    changing: NDArray[np.complex128]
+    """(n,) amplitudes of the part that changes; real and imaginary part weigh two fields."""
+
+
+@njit(**OPTIONS)
+def form_image(grey, iq, console, frames):  # type: ignore[no-untyped-def]
+    """Convert every frame's echoes to (frames, lines, samples) uint8 grey levels."""
     for frame in range(len(grey)):
-        share = coupling(X_TP[frame], origins[frame], directions[frame], box, gel_thickness)
-        share *= open_shares[frame]
-        if field.size > 0:
-            add_haze(iq[frame], field[frame], clutter, changing[frame], lasting)
-        compress(grey[frame], iq[frame], share, noise, keys[frame], grey_per_db, offsets)
+        share = coupling(
+            frames.X_TP[frame], frames.origins[frame], frames.directions[frame], console.box,
+            console.gel_thickness,
+        )  # fmt: skip
+        share *= frames.open_shares[frame]
+        if frames.field.size > 0:
+            changing = frames.changing[frame]
+            add_haze(iq[frame], frames.field[frame], console.clutter, changing, console.lasting)
+        compress(
+            grey[frame], iq[frame], share, console.noise, frames.keys[frame], console.grey_per_db,
+            console.offsets,
+        )  # fmt: skip
 
 
 @njit(**INNER)

@@ -243,27 +243,15 @@ def apparent_points(points, view, frame):  # type: ignore[no-untyped-def]
 
 
 @njit(**OPTIONS)
-def integrate_paths(  # type: ignore[no-untyped-def]
-    gains,
-    delays,
-    X_TF,
-    medium,
-    labels,
-    origin,
-    per_metre,
-    loss_rate,
-    delay_rate,
-    line_pitch,
-    twist,
-):
+def integrate_paths(gains, delays, X_TF, medium, paths, line_pitch, twist):  # type: ignore[no-untyped-def]
     """Write (frames, lines, nodes) gains and delays along lines.
 
-    Gains are factors on the amplitude of echoes, delays paths in m by which they appear deeper. The
-    labels' rates are two-way attenuation in nepers per m and additional path per path, both
-    relative to the tissue; line_pitch and twist are angles in rad from one line to the next.
+    Gains are factors on the amplitude of echoes, delays paths in m by which they appear deeper;
+    ``paths`` are `PathLabels`, line_pitch and twist angles in rad from one line to the next.
     """
     frames, lines, nodes = gains.shape
-    nx, ny, nz = labels.shape
+    origin, per_metre = paths.origin, 1 / paths.spacing
+    nx, ny, nz = paths.labels.shape
     step = 1 / medium.nodes_per_metre
     for frame in range(frames):
         X = X_TF[frame]
@@ -287,9 +275,9 @@ def integrate_paths(  # type: ignore[no-untyped-def]
                 b = per_metre * (_coordinate(X, 1, x, y, z) - origin[1])
                 c = per_metre * (_coordinate(X, 2, x, y, z) - origin[2])
                 if 0 <= a < nx and 0 <= b < ny and 0 <= c < nz:
-                    label = labels[np.int64(a), np.int64(b), np.int64(c)]
-                    loss += loss_rate[label] * step
-                    late += delay_rate[label] * step
+                    label = paths.labels[np.int64(a), np.int64(b), np.int64(c)]
+                    loss += paths.loss_rate[label] * step
+                    late += paths.delay_rate[label] * step
 
 
 @njit(**INNER)

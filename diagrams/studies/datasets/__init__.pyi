@@ -1,1 +1,0 @@
-from .dataset import make_dataset as make_dataset
