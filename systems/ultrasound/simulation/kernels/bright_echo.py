@@ -73,7 +73,10 @@ def add_point(layer, rays, pulse, place, closer, amplitude, shadow):  # type: ig
 def seen_within(rays):  # type: ignore[no-untyped-def]
     """Return the distance in m from a frame's plane beyond which no point shows in any line."""
     furthest = rays.array_radius + rays.bright.size / rays.samples_per_metre
-    reach = np.sqrt(_FURTHEST_OUT / rays.elevation_precision.min())
+    least = np.inf  # a method of the array would count references
+    for precision in rays.elevation_precision:
+        least = min(least, precision)
+    reach = np.sqrt(_FURTHEST_OUT / least)
     return reach + abs(rays.twist) * rays.middle_line * furthest
 
 
