@@ -15,14 +15,19 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from typer.main import get_command
 
-from sonoservo.diagrams.app.commands.benchmark import benchmark_command
 from sonoservo.diagrams.app.commands.results import (
     compare_command,
     explain_command,
+    list_command,
+    new_command,
     replay_command,
+    show_command,
 )
-from sonoservo.diagrams.app.commands.scenarios import list_command, new_command, show_command
-from sonoservo.diagrams.app.commands.studies import dataset_command, reproduce_command
+from sonoservo.diagrams.app.commands.studies import (
+    benchmark_command,
+    dataset_command,
+    reproduce_command,
+)
 from sonoservo.diagrams.app.commands.volumes import (
     bridge_command,
     calibrate_command,
@@ -182,7 +187,7 @@ def _tell(
     console.print(summary_table(result))
     say_report(folder)
     if note:
-        console.print(note, soft_wrap=True)
+        say(note)
     write_printed(results.json_path, result.summary)
     if pages:
         pages.end(console, end_words(result), folder / "report.html")
@@ -276,11 +281,10 @@ def scan_command(
     summary = summarize_scan(result, following)
     folder = results.out or free_folder(f"{loaded.name}_seed{loaded.seed}_scan")
     paths = write_scan(result, folder)
-    console.print(result.caption, soft_wrap=True)
-    console.print(
+    say(result.caption)
+    say(
         f"At {summary['time_s']:.2f} s, {summary['inserted_mm']:.1f} mm of the needle are in the "
-        f"tissue. Written: {', '.join(map(str, paths))}",
-        soft_wrap=True,
+        f"tissue. Written: {', '.join(map(str, paths))}"
     )
     write_printed(results.json_path, summary)
 

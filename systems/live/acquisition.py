@@ -7,47 +7,24 @@ ignore it. It holds what the acquisition of a recording holds (`RecordingWriter`
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
-from pydrake.math import RigidTransform
 
 from sonoservo.systems.live.connection.items import TextItem
 from sonoservo.systems.recording.side_files import (
+    Acquisition,
     describe_acquisition,
     describe_grid,
     parse_acquisition,
 )
-from sonoservo.systems.signals.immutable import Immutable
-from sonoservo.systems.signals.point_spread import PointSpread
 from sonoservo.systems.signals.requirements import require
-from sonoservo.systems.signals.sweep import DECIBELS_PER_LEVEL, SweepMotion
 from sonoservo.systems.signals.volume import Volume
 
 NAME = "Acquisition"
 
 _MAX_TEXT = 60000
 _VOLUME = ("time", "X_WP", "direction", "frame_times", "frame_X_WP")
-
-
-@dataclass(frozen=True, eq=False)
-class VolumeAcquisition(Immutable):
-    """Exact time in s, pose and grid of a volume's acquisition, which time stamps and images round.
-
-    Origin and spacing are (3,), in P, in m. Motion and point spread are None if unknown; `settings`
-    are those of the scanner.
-    """
-
-    time: float
-    origin: NDArray[np.float64]
-    spacing: NDArray[np.float64]
-    X_WP: RigidTransform
-    motion: SweepMotion | None
-    decibels_per_level: float
-    point_spread: PointSpread | None
-    settings: Mapping[str, Any]
 
 
 def acquisition_item(volume: Volume, settings: Mapping[str, Any]) -> TextItem:
@@ -60,8 +37,8 @@ def acquisition_item(volume: Volume, settings: Mapping[str, Any]) -> TextItem:
     return TextItem(NAME, volume.time, text)
 
 
-def read_acquisition_item(item: TextItem) -> VolumeAcquisition:
-    """Read the acquisition from a text, with the checks that one in a file passes."""
+def read_acquisition_item(item: TextItem) -> Acquisition:
+    """Read the acquisition of one volume from a text, with the checks that one in a file passes."""
     try:
         first = json.loads(item.text)
         line = {key: first.pop(key) for key in _VOLUME if key in first}
@@ -69,15 +46,6 @@ def read_acquisition_item(item: TextItem) -> VolumeAcquisition:
             first["geometry"] = None
         said = parse_acquisition(first, [line])
         require(np.isfinite(said.times[0]), "time", said.times[0], "finite")
-        return VolumeAcquisition(
-            said.times[0],
-            said.origin,
-            said.spacing,
-            said.poses[0],
-            said.motions[0],
-            said.decibels_per_level or DECIBELS_PER_LEVEL,
-            said.point_spread,
-            said.settings,
-        )
+        return said
     except Exception as error:  # whatever a foreign text sets off
         raise ValueError(f"{item.name}: {' '.join(str(error).split())}") from error

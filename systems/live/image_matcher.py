@@ -11,10 +11,11 @@ from pydrake.math import RigidTransform
 
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.live import acquisition
-from sonoservo.systems.live.acquisition import VolumeAcquisition, read_acquisition_item
+from sonoservo.systems.live.acquisition import read_acquisition_item
 from sonoservo.systems.live.connection.items import ImageItem, Item, PoseItem, TextItem
 from sonoservo.systems.live.pose_history import PoseHistory
 from sonoservo.systems.live.stream_clock import StreamClock
+from sonoservo.systems.recording.side_files import Acquisition
 from sonoservo.systems.recording.transform_chain import TransformChain, find_chain
 from sonoservo.systems.signals.immutable import Immutable, NotFound
 
@@ -56,7 +57,7 @@ class PosedImage(Immutable):
 
     image: ImageItem
     X_WL: RigidTransform
-    acquisition: VolumeAcquisition | None
+    acquisition: Acquisition | None
     time: float
     arrived: float
     sender: tuple[str, str] = ("", "")
@@ -88,7 +89,7 @@ class _Sender:
     poses_by_arrival: PoseHistory = field(default_factory=PoseHistory)
     links: dict[str, PoseHistory] = field(default_factory=dict)
     uncomposed: list[float] = field(default_factory=list)
-    said: OrderedDict[float, VolumeAcquisition] = field(default_factory=OrderedDict)
+    said: OrderedDict[float, Acquisition] = field(default_factory=OrderedDict)
     stamp: float | None = None
     shift: float = 0.0
     arrived: float = 0.0
@@ -178,7 +179,7 @@ class ImageMatcher:
             self._note_pose(item, sender, now)
         elif isinstance(item, TextItem) and item.name == acquisition.NAME:
             said = read_acquisition_item(item)
-            sender.said[said.time] = said
+            sender.said[said.times[0]] = said
             if len(sender.said) > _REMEMBERED:
                 sender.said.popitem(last=False)
         elif isinstance(item, ImageItem) and self._is_wanted(item, sender, peer, now):
@@ -299,9 +300,9 @@ class ImageMatcher:
         sender = self._senders.get(peer) or self._sender(peer, now)
         X_WL: RigidTransform | NotFound
         stamp = image.time
-        said = next((v for v in sender.said.values() if abs(v.time - stamp) < _SAME), None)
+        said = next((v for v in sender.said.values() if abs(v.times[0] - stamp) < _SAME), None)
         if said is not None:
-            stamp, X_WL = said.time, said.X_WP
+            stamp, X_WL = said.times[0], said.poses[0]
         elif self._posed is False:
             X_WL = RigidTransform()
         elif (tracker := self._tracker(sender)) is None and now - arrived < _FIRST_WAIT:

@@ -110,7 +110,7 @@ class VolumeMaker:
         if said is not None:
             if not np.allclose(said.spacing, grid.spacing, rtol=1e-4, atol=0):
                 raise ValueError("a volume is left out: the text before it tells another grid")
-            motion = said.motion if posed.time == said.time else None
+            (motion,) = said.motions if posed.time == said.times[0] else (None,)
             return Volume(
                 grey,
                 said.origin,
@@ -118,7 +118,7 @@ class VolumeMaker:
                 posed.X_WL,
                 posed.time,
                 motion,
-                self._scale or said.decibels_per_level,
+                self._scale or said.decibels_per_level or DECIBELS_PER_LEVEL,
                 said.point_spread,
             )
         X_WP = posed.X_WL @ _moved(posed.image.X_LI, X_LI) @ grid.X_LP

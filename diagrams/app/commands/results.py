@@ -1,5 +1,6 @@
-"""Commands about the kept results of runs: replay, explain and compare."""
+"""Commands about scenarios and the kept results of runs."""
 
+import shlex
 from contextlib import suppress
 from pathlib import Path
 from typing import Annotated
@@ -7,14 +8,18 @@ from typing import Annotated
 import typer
 
 from sonoservo.diagrams.app.options import (
+    ChangesOption,
     Page,
     Printed,
     Results,
+    ScenarioArgument,
     console,
     free_folder,
+    say,
     say_report,
     write_printed,
 )
+from sonoservo.systems.files.refusals import ConfigurationError
 
 
 def replay_command(
@@ -72,12 +77,64 @@ def explain_command(
     if time is None:
         rows = explained_run.rows()
         console.print(explanation_table(rows))
-        console.print(f"Draw one of them: sonoservo explain {folder} --time T", soft_wrap=True)
+        say(f"Draw one of them: sonoservo explain {folder} --time T")
         write_printed(printed.json_path, rows)
         return
     explained = explained_run.nearest(time)
     path = out or folder / f"explanation_{float(explained.volume_time):.2f}s.png"
     write_atomically(path, png(explained_run.sheet(explained)))
-    console.print(describe(explained, explained_run.tip_error(explained)), soft_wrap=True)
-    console.print(f"Drawn: {path}", soft_wrap=True)
+    say(describe(explained, explained_run.tip_error(explained)))
+    say(f"Drawn: {path}")
     write_printed(printed.json_path, explained_run.row(explained))
+
+
+def list_command(printed: Printed) -> None:
+    """List the built-in scenarios, and the dials that make a scenario harder."""
+    from sonoservo.diagrams.dials import load_dials
+    from sonoservo.diagrams.experiments.registry import describe_scenarios
+
+    scenarios, dials = describe_scenarios(), load_dials()
+    say("Scenarios:")
+    for name, description in scenarios.items():
+        say(f"sonoservo run {name}\n    {description}")
+    say("\nDials that make a scenario harder, here at a moderate strength:")
+    for name, dial in dials.items():
+        changes = " ".join(f"--set {shlex.quote(each)}" for each in dial.changes())
+        say(f"{changes}\n    {name}: {dial.line}")
+    write_printed(
+        printed.json_path,
+        {
+            "scenarios": scenarios,
+            "dials": {
+                name: {"description": dial.line, "moderate": dict(dial.moderate)}
+                for name, dial in dials.items()
+            },
+        },
+    )
+
+
+def show_command(scenario: ScenarioArgument, changes: ChangesOption = None) -> None:
+    """Print a scenario with all its fields, as YAML that `sonoservo run` reads."""
+    from sonoservo.diagrams.experiments.registry import load_scenario
+
+    print(load_scenario(scenario, changes=changes).to_yaml(), end="")
+
+
+def new_command(
+    path: Annotated[Path, typer.Argument(help="YAML file to write; it must not exist yet.")],
+    scenario: Annotated[
+        str, typer.Option("--from", help="Scenario to begin with, from `sonoservo list`.")
+    ] = "chatelain2013_fig5",
+) -> None:
+    """Write a scenario of your own: a copy of a built-in one, with its comments."""
+    from sonoservo.diagrams.experiments.registry import list_scenarios, load_scenario
+    from sonoservo.systems.files.writing import write_atomically
+
+    if path.suffix not in (".yaml", ".yml"):
+        raise ConfigurationError(f"{path} must end in .yaml")
+    if path.exists():
+        raise ConfigurationError(f"{path} exists already; it is left as it is")
+    load_scenario(scenario)
+    source = list_scenarios().get(scenario, Path(scenario))
+    write_atomically(path, source.read_text(encoding="utf-8"))
+    say(f"Written: {path}. Change it, then: sonoservo run {path}")

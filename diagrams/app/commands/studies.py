@@ -1,6 +1,7 @@
-"""Commands that make many runs: data sets, and reproductions of papers."""
+"""Commands that make many runs: data sets, reproductions of papers, and the benchmark."""
 
 import shlex
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -16,6 +17,7 @@ from sonoservo.diagrams.app.options import (
     ScenarioArgument,
     Workers,
     console,
+    say,
     say_report,
     write_printed,
 )
@@ -93,10 +95,9 @@ def dataset_command(
             cluster=executor,
             console=console,
         )
-    console.print(
+    say(
         f"{len(manifest['sequences'])} sequences, {len(manifest['failed'])} failed: "
-        f"{store or out}/manifest.json",
-        soft_wrap=True,
+        f"{store or out}/manifest.json"
     )
     write_printed(printed.json_path, manifest)
     if manifest["failed"]:
@@ -117,7 +118,7 @@ def _make_episodes(
         info = make_episodes(
             scenario, out, count=count, jobs=workers.jobs, cluster=executor, console=console
         )
-    console.print(f"{info['total_episodes']} episodes: {out}/meta/info.json", soft_wrap=True)
+    say(f"{info['total_episodes']} episodes: {out}/meta/info.json")
     write_printed(json_path, info)
     if info["total_episodes"] < count:
         raise typer.Exit(1)
@@ -196,3 +197,83 @@ def reproduce_command(
     if keep:
         keep_results(studies, shlex.join(command))
     write_printed(results.json_path, data)
+
+
+MAKE = "make"
+"""First argument that asks for the volumes instead of scores."""
+
+
+def benchmark_command(
+    workers: Workers,
+    results: Results,
+    trackers: Annotated[
+        list[str] | None,
+        typer.Argument(
+            help="Trackers: names of ours, brightest_line, module:factory, or folders of tables; "
+            "or the word make, to write the volumes."
+        ),
+    ] = None,
+    suites: Annotated[
+        list[str] | None, typer.Option("--suite", help="Suite to take; repeatable. All by default.")
+    ] = None,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="One sequence of each suite: the small subset.")
+    ] = False,
+    salt: Annotated[
+        int, typer.Option(help="Draw other sequences; 0 are those on which results are reported.")
+    ] = 0,
+    sequences: Annotated[
+        int | None, typer.Option(help="Number of sequences in a suite, up to 20.")
+    ] = None,
+    formats: Annotated[
+        list[str] | None,
+        typer.Option("--format", help="make: nrrd, zea; repeatable. Both by default."),
+    ] = None,
+    store: Annotated[
+        str | None, typer.Option(help="make: folder or fsspec URL that a cluster writes to.")
+    ] = None,
+) -> None:
+    """Score needle trackers on suites of simulated volumes, or make the volumes.
+
+    Finished sequences are kept; repeat the command to resume after an interruption.
+    """
+    from sonoservo.diagrams.benchmark.benchmark import BenchmarkOptions, run_benchmark
+    from sonoservo.diagrams.benchmark.making import FORMATS, make_volumes
+    from sonoservo.diagrams.benchmark.report import benchmark_table, write_benchmark
+
+    names = trackers or ["chatelain2013", "brightest_line"]
+    makes = names == [MAKE]
+    if MAKE in names and not makes:
+        raise ConfigurationError("make: it takes no trackers; score them in a second command")
+    if not makes and (formats or store):
+        raise ConfigurationError("--format, --store: only for `sonoservo benchmark make`")
+    folder = results.out or Path("out") / ("benchmark_volumes" if makes else "benchmark")
+    with opened(workers) as executor:
+        options = BenchmarkOptions(
+            folder=folder,
+            suites=suites or (),
+            quick=quick,
+            salt=salt,
+            sequences=sequences,
+            jobs=workers.jobs,
+            cluster=executor,
+            console=console,
+        )
+        if makes:
+            outcomes = make_volumes(options, tuple(formats or FORMATS), store)
+            failed = [each for each in outcomes if not each]
+            say(
+                f"{len(outcomes) - len(failed)} sequences, {len(failed)} failed: {folder}/README.md"
+            )
+            write_printed(results.json_path, [dict(each.result) for each in outcomes if each])
+        else:
+            result = run_benchmark(names, options)
+            write_benchmark(result, folder, shlex.join(["sonoservo", *sys.argv[1:]]))
+            console.print(benchmark_table(result.data).transposed().terminal(widest=None))
+            say_report(folder)
+            write_printed(results.json_path, result.data)
+            failed = result.failed
+    for each in failed:
+        console.print(f"{each.case.experiment}, seed {each.case.seed}: {each.error}")
+    if failed:
+        raise typer.Exit(1)

@@ -6,7 +6,7 @@ from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pydrake.math import RigidTransform
@@ -152,7 +152,7 @@ def log_samples(log: RunLog, settings: ControllerSchedule) -> list[Sample]:
             detection = str(log.volume_detection_reason[seen])
             reason = detection if searching else str(log.volume_measurement_reason[seen])
         acts = str(log.guard_state[row]) not in ("", GuardState.MONITORING)
-        tip, place = log.estimate_tip[row], {}
+        tip, place = log.estimate_tip[row], dict[str, Any]()
         if np.isfinite(tip).all():
             X_WP = RigidTransform(log.measured_X_WP[row])
             place = needle_place(log.estimate_entry[row], tip, X_WP)

@@ -93,7 +93,7 @@ def sample_estimate(
     )
 
 
-def needle_place(p_WEntry: Floats, p_WTip: Floats, X_WP: RigidTransform) -> dict[str, float]:
+def needle_place(p_WEntry: Floats, p_WTip: Floats, X_WP: RigidTransform) -> dict[str, Any]:
     """Return features and depth of a needle, seen from the probe, in mm and deg."""
     entry, tip = X_WP.inverse().multiply(np.stack([p_WEntry, p_WTip]).T).T
     x, z, theta = needle_features(tip, tip - entry).tolist()

@@ -119,7 +119,7 @@ def test_acquisition_of_a_very_long_sweep_leaves_the_frames_out(outlet):
     publish(Sender(outlet=outlet, feed=volume_feed(), period=1.0), volume=[volume])
     text = outlet.sent[0][1][0]
     assert len(text.text) < 65536
-    assert read_acquisition_item(text).motion is None
+    assert read_acquisition_item(text).motions == [None]
 
 
 @pytest.mark.parametrize("direction", [1, -1])

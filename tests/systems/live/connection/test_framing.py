@@ -5,13 +5,13 @@ import pytest
 from live_items import X, decode_all
 from pyigtl.messages import CRC64, StringMessage
 
-from sonoservo.systems.live.connection.crc64 import crc64
 from sonoservo.systems.live.connection.framing import (
     HEADER_SIZE,
     MAX_BODY,
     Framer,
     FramingError,
     MessageError,
+    crc64,
     pack_frame,
     parse_header,
 )

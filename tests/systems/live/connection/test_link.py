@@ -13,9 +13,8 @@ from openigtlink import EXAMPLES, compiled, free_port
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.live.connection import framing, link
 from sonoservo.systems.live.connection.items import PoseItem, TextItem
-from sonoservo.systems.live.connection.link import Link
+from sonoservo.systems.live.connection.link import Link, Outbox
 from sonoservo.systems.live.connection.open_igt_link import encode
-from sonoservo.systems.live.connection.outbox import Outbox
 from sonoservo.systems.live.connection.protocols import parse_address
 from sonoservo.systems.live.feeds import volume_items
 from sonoservo.systems.live.live_source import LiveSource
