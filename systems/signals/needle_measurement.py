@@ -1,6 +1,6 @@
 """Measurement of the needle in one volume."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Annotated
 
 import numpy as np
@@ -71,6 +71,25 @@ class NeedleMeasurement(Immutable):
             wider = self.covariance + std**2 * np.outer(along, along)
             found.append((probability, points + away * along, wider))
         return found
+
+    def given(self, points: NDArray[np.float64], P: NDArray[np.float64]) -> "NeedleMeasurement":
+        """Return the measurement at the place of the tip that a prediction makes most probable.
+
+        ``points`` are the (3n,) predicted control points in m, and P their covariance in m^2.
+        """
+        fits = []
+        for probability, z, R in self.places:
+            y, S = z - points, P + R
+            fit = -0.5 * (y @ np.linalg.solve(S, y) + np.linalg.slogdet(S)[1])
+            fits.append(fit + np.log(max(probability, 1e-300)))
+        _, z, R = self.places[int(np.argmax(fits))]
+        return replace(
+            self,
+            curve=NeedleCurve(z.reshape(-1, 3)),
+            covariance=R,
+            tip_seen=1.0,
+            elsewhere=np.zeros((0, 3)),
+        )
 
     @property
     def total_covariance(self) -> NDArray[np.float64]:

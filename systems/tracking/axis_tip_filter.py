@@ -192,6 +192,8 @@ class AxisTipFilter:
         z: list[NDArray[np.float64]] = []
         R = np.zeros((8, 8))
         if measurement is not None:
+            points = state.curve.control_points.ravel()
+            measurement = measurement.given(points, state.covariance[:6, :6])
             values, R[:5, :5] = _axis_and_tip(state.frame, measurement)
             z.append(values)
         believed = velocity is not None and self._believes(state, velocity)
@@ -244,4 +246,4 @@ def _axis_and_tip(
     J[:2, 3:] = sense * across / curve.chord
     J[:2, :3] = -J[:2, 3:]
     J[2:, 3:] = np.eye(3)
-    return np.concatenate([deviation, curve.tip]), J @ measurement.total_covariance @ J.T
+    return np.concatenate([deviation, curve.tip]), J @ measurement.covariance @ J.T

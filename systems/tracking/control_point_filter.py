@@ -93,7 +93,7 @@ class ControlPointFilter:
         size = 3 * curve.order
         u, k = np.linspace(0, 1, curve.order), curve.direction
         P = np.zeros((2 * size, 2 * size))
-        P[:size, :size] = measurement.total_covariance
+        P[:size, :size] = measurement.covariance
         P[size:, size:] = self.first_drift_std**2 * np.eye(size) + self.first_speed_std**2 * (
             np.kron(np.outer(u, u), np.outer(k, k))
         )
@@ -118,7 +118,9 @@ class ControlPointFilter:
         """Return the state corrected by the measured control points (eqs. 12 to 14)."""
         if measurement is None:
             return state
+        size = len(state.mean) // 2
+        measurement = measurement.given(state.mean[:size], state.covariance[:size, :size])
         z = measurement.curve.control_points.ravel()
         C = np.eye(len(z), len(state.mean))
-        mean, P = update(state.mean, state.covariance, z, measurement.total_covariance, C)
+        mean, P = update(state.mean, state.covariance, z, measurement.covariance, C)
         return replace(state, mean=mean, covariance=0.5 * (P + P.T))

@@ -35,7 +35,7 @@ def volume():
 
 def test_the_needle_is_the_most_probable_line():
     first, *others = needle_lines(volume())
-    assert abs(first.direction @ K) > np.cos(np.radians(2))
+    assert abs(first.direction @ K) > np.cos(np.radians(3))
     assert all(each.probability < first.probability for each in others)
 
 
@@ -52,7 +52,7 @@ def test_a_line_along_the_border_of_the_field_of_view_is_no_needle(frame, lines,
     samples = np.array(depths) / GEOMETRY.sample_pitch
     ends = GEOMETRY.position(frame, np.array(lines), samples, 1)
     found = odds(SCENE.volume(1, lambda time: ends), ends)
-    assert (found > 0) == possible
+    assert (found > -3) == possible
 
 
 def test_lines_along_one_needle_share_its_probability():
