@@ -101,4 +101,4 @@ class NeedleMeasurement(Immutable):
     @property
     def _along(self) -> NDArray[np.float64]:
         """(3n,) displacements of the control points for 1 m of the tip along the needle."""
-        return np.kron(np.linspace(0, 1, self.curve.order), self.curve.direction)
+        return np.asarray(np.kron(np.linspace(0, 1, self.curve.order), self.curve.direction))
