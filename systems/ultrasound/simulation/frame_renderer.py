@@ -28,6 +28,7 @@ from sonoservo.systems.ultrasound.simulation.kernels.image_formation import (
 from sonoservo.systems.ultrasound.simulation.kernels.layers import expand_gains
 from sonoservo.systems.ultrasound.simulation.kernels.line_blur import line_kernel
 from sonoservo.systems.ultrasound.simulation.kernels.medium import Sights
+from sonoservo.systems.ultrasound.simulation.kernels.scatterer_tile import scatterer_tile
 from sonoservo.systems.ultrasound.simulation.kernels.surface_echo import render_surfaces
 from sonoservo.systems.ultrasound.simulation.needles.needle_echo import NeedleEchoParameters
 from sonoservo.systems.ultrasound.simulation.needles.needle_renderer import (
@@ -43,7 +44,6 @@ from sonoservo.systems.ultrasound.simulation.rays import (
 )
 from sonoservo.systems.ultrasound.simulation.reaction.deformation import Deformation, displacements
 from sonoservo.systems.ultrasound.simulation.scanner_parameters import ScannerParameters
-from sonoservo.systems.ultrasound.simulation.scatterer_tile import scatterer_tile
 from sonoservo.systems.ultrasound.simulation.scatterers.bright_points import inclusion_points
 from sonoservo.systems.ultrasound.simulation.scene import Scene
 from sonoservo.systems.ultrasound.simulation.structures.resting_needle import RestingNeedle

@@ -38,8 +38,8 @@ from sonoservo.systems.ultrasound.simulation.kernels.projection import (
     transformed,
 )
 from sonoservo.systems.ultrasound.simulation.kernels.regions import Regions, weigh_scatterers
+from sonoservo.systems.ultrasound.simulation.kernels.scatterer_tile import BLOCKS, ScattererTile
 from sonoservo.systems.ultrasound.simulation.kernels.vector_addition import LANES, deposit
-from sonoservo.systems.ultrasound.simulation.scatterer_tile import BLOCKS, ScattererTile
 
 FADE = 0.1
 """Half width, relative to the share of scatterers used at a depth, over which more fade in."""
