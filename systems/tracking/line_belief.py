@@ -74,7 +74,7 @@ _APPEARS, _APPEARS_BY_MOTION = 0.002, 0.05
 """Probabilities that a line appears at once with a volume, at rest and per unit of motion: a
 specular surface comes into view, or a shadow goes."""
 
-_NEUTRAL, _BEST_LOOKS, _MOST_LOOKS = -3.0, 2.0, (-20.0, 4.0)
+_NEUTRAL, _BEST_LOOKS, _MOST_LOOKS = -3.5, 2.0, (-20.0, 4.0)
 """Log odds of a line's looks that speak neither for nor against a needle that moves like one, the
 largest that count then, and limits of the log odds in one volume."""
 

@@ -120,17 +120,20 @@ class TrackLifecycle:
         if not lines:
             return NotFound(SearchReason.NO_BRIGHT_LINE(" is seen"))
         best = int(lines.probabilities.argmax())
-        choice = lines.ends[best], float(lines.probabilities[best])
+        if lines.probabilities[best] >= self.parameters.act:
+            return lines.ends[best], float(lines.probabilities[best])
+        # There is a needle, or the user says so: the line at rest that is one more probably than
+        # not is it.
         last = None if track.state is None else track.state.curve
+        choice = lines.ends[best], 0.5
         if last is not None or self.anywhere:
-            enough = np.flatnonzero(lines.looked >= self.parameters.volumes_to_follow)
-            for n in enough:
+            for n in np.flatnonzero(lines.looked >= self.parameters.volumes_to_follow):
                 odds, ends = float(lines.looks[n]), lines.ends[n]
                 if last is not None:
                     odds, ends = found_again(odds, ends, last)
                 if expit(odds) > choice[1]:
                     choice = ends, float(expit(odds))
-        if choice[1] >= self.parameters.act:
+        if choice[1] > 0.5:
             return choice
         return NotFound(_REASONS[LINE_CLASSES[int(lines.classes[best].argmax())]])
 
