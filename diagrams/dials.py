@@ -4,11 +4,12 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
-
-import numpy as np
+from typing import TYPE_CHECKING, Any
 
 from sonoservo.systems.files.typed_yaml import read_yaml
+
+if TYPE_CHECKING:
+    import numpy as np
 
 _WEAKEST = 0.1  # smallest strength of a dial that is on
 
@@ -50,7 +51,7 @@ def load_dials() -> dict[str, Dial]:
     return {name: Dial(**each) for name, each in read_yaml(path).items()}
 
 
-def draw_dials_on(rng: np.random.Generator) -> Iterator[tuple[str, Dial, float]]:
+def draw_dials_on(rng: "np.random.Generator") -> Iterator[tuple[str, Dial, float]]:
     """Draw which dials are on, half of all in random order, with strengths from 0.1 to 1."""
     dials = load_dials()
     for name in rng.permutation(sorted(dials)):

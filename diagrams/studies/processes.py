@@ -14,8 +14,6 @@ from multiprocessing.process import BaseProcess
 from multiprocessing.resource_tracker import ensure_running
 from types import ModuleType
 
-from joblib import cpu_count, wrap_non_picklable_objects
-
 from sonoservo.diagrams.studies.store import Store
 from sonoservo.diagrams.studies.study import (
     CASES_PER_PROCESS,
@@ -47,6 +45,8 @@ class Processes:
     @property
     def slots(self) -> int:
         """Number of processes."""
+        from joblib import cpu_count  # which takes NumPy along, and help needs neither
+
         return cpu_count() if self._jobs == -1 else self._jobs
 
     def run(
@@ -96,6 +96,8 @@ class _Slot:
             self._pool = ProcessPoolExecutor(
                 1, get_context("spawn"), initializer=follow_parent, initargs=(os.getpid(),)
             )
+        from joblib import wrap_non_picklable_objects
+
         self._cases += 1
         others = set(active_children())
         with keeping_ctrl_c(), _single_threaded(), _without_script():

@@ -74,9 +74,9 @@ _APPEARS, _APPEARS_BY_MOTION = 0.002, 0.05
 """Probabilities that a line appears at once with a volume, at rest and per unit of motion: a
 specular surface comes into view, or a shadow goes."""
 
-_NEUTRAL, _BEST_LOOKS, _MOST_LOOKS = -3.5, 2.0, (-20.0, 4.0)
-"""Log odds of a line's looks that speak neither for nor against a needle that moves like one, the
-largest that count then, and limits of the log odds in one volume."""
+_NEUTRAL, _BEST_LOOKS, _MOST_LOOKS = -4.0, 2.0, (-20.0, 4.0)
+"""Log odds of a line's looks that speak neither for nor against a needle that moves like one (of
+some sixty bright lines, one is it), the largest that count then, and limits in one volume."""
 
 _SAME, _OVERLAP, _BETTER = 3e-3, 10e-3, 4.0
 """Distance in m up to which the ends of two fits belong to one line, length in m by which its

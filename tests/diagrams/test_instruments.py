@@ -165,7 +165,7 @@ def test_lost_volumes_leave_the_estimate_as_it_was():
     [
         ("station.pose_delay.delay=-1", "station.pose_delay.delay: -1.0 .* at least 0"),
         ("station.wrist_sensor.force_bias=.nan", "force_bias: nan"),
-        ("station.calibration.hand_eye_translation=2", "hand_eye_translation: 2.0 .* in m"),
+        ("station.calibration.hand_eye_translation=2", "hand_eye_translation: 2.0 .* to 0.1 m"),
         ("scanner.motor.backlash_deg=-1", "backlash_deg: -1.0"),
         ("scanner.clock.offset=5", "offset: 5.0 .* from -1 to 1 s"),
         ("scanner.connection.lost_sweeps=1", "lost_sweeps: 1.0 .* below 1"),
