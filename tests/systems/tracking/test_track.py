@@ -129,7 +129,8 @@ def test_a_line_that_is_none_says_what_it_is_like(kind, words):
     [
         (True, False, 4.0, 3, True),
         (True, False, 4.0, 2, False),
-        (True, False, 2.0, 3, False),
+        (True, False, 0.5, 3, True),
+        (True, False, -0.5, 3, False),
         (False, False, 4.0, 3, False),
         (False, True, 4.0, 3, True),
     ],
@@ -149,7 +150,7 @@ def test_a_lost_needle_is_rather_found_where_it_was():
     life = lifecycle()
     lost = dataclasses.replace(tracked(life), mode=TrackingMode.LOST)
     for y, found in ((0.0, True), (0.06, False)):
-        resting = lines(needle=0.0, looks=3.0, looked=3, kind="resting", y=y)
+        resting = lines(needle=0.0, looks=2.0, looked=3, kind="resting", y=y)
         assert bool(life.predict(lost, 1.0, STILL, resting)) is found
 
 
