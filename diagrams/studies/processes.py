@@ -80,7 +80,7 @@ class Processes:
 class _Slot:
     """A process that runs one case after the other, and its successors.
 
-    A pool's own ``max_tasks_per_child`` may wait for ever (CPython issue 115634), and a pool of
+    A pool's own ``max_tasks_per_child`` may wait for ever (CPython gh-115634), and a pool of
     several cannot tell which case killed a process.
     """
 

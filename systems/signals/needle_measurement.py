@@ -77,12 +77,12 @@ class NeedleMeasurement(Immutable):
 
         ``points`` are the (3n,) predicted control points in m, and P their covariance in m^2.
         """
-        fits = []
-        for probability, z, R in self.places:
+        fits, places = [], self.places
+        for probability, z, R in places:
             y, S = z - points, P + R
             fit = -0.5 * (y @ np.linalg.solve(S, y) + np.linalg.slogdet(S)[1])
             fits.append(fit + np.log(max(probability, 1e-300)))
-        _, z, R = self.places[int(np.argmax(fits))]
+        _, z, R = places[int(np.argmax(fits))]
         return replace(
             self,
             curve=NeedleCurve(z.reshape(-1, 3)),

@@ -40,7 +40,6 @@ _LONG, _ENTRY, _EDGE = 20e-3, 8e-3, 4e-3
 """Units in m: length beyond which more of it tells nothing, and distances from the sides of the
 field of view to the ends."""
 
-
 _WEIGHTS = {
     "constant": -0.02,
     "evidence": 1.90,

@@ -6,22 +6,10 @@ import numpy as np
 
 from sonoservo.systems.tracking.cells import cells_of
 from sonoservo.systems.tracking.line_fit import fitted_lines
-from sonoservo.systems.tracking.needle_line import SHORTEST, clutter, evident_stretches
+from sonoservo.systems.tracking.needle_line import SHORTEST, clutter, evident_stretches, lie_along
 
 from .own_scans import drawn_scan
 from .painted import painted
-
-
-def lies_along(lines, ends):
-    """Flags of (n, 2, 3) lines that lie along a needle, (2, 3) ends, to 3 mm and 10 deg."""
-    length = np.linalg.norm(ends[1] - ends[0])
-    k = (ends[1] - ends[0]) / length
-    points = lines[:, :1] + np.linspace(0, 1, 9)[:, None] * (lines[:, 1:] - lines[:, :1]) - ends[0]
-    away = points - np.clip(points @ k, 0, length)[..., None] * k
-    direction = lines[:, 1] - lines[:, 0]
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    near = np.linalg.norm(away, axis=-1).mean(axis=1) < 3e-3
-    return near & (np.abs(direction @ k) > np.cos(np.radians(10)))
 
 
 @dataclass
@@ -79,7 +67,9 @@ def collect(seeds, say=lambda line: None):
                 features = found.looks(volume, clutter(fits))
                 names = list(features)
                 looks.append(np.stack(list(features.values()), axis=1)[long])
-                along = lies_along(found.ends[long], ends) if needle else np.zeros(long.sum(), bool)
+                along = np.zeros(long.sum(), bool)
+                if needle:
+                    along = lie_along(ends[np.newaxis], found.ends[long])[0]
                 right.append(along)
                 number.append(np.full(long.sum(), len(made)))
                 made.append((which, seed, needle))
