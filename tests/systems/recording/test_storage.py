@@ -379,7 +379,7 @@ NRRD_REFUSED = {
     "unit": (["space: LPS", 'space units: "inch" "mm" "mm"'], "space units"),
     "skip": (["byte skip: -2"], "byte skip"),
     "encoding": (["encoding: hex"], "twice|not supported"),
-    "files": (["data file: LIST", "a.raw", "b.raw"], "files"),
+    "files": (["data file: LIST", "a.raw", "b.raw"], "no file .a.raw"),
     "pattern": (["data file: a%s.raw 1 3 1"], "pattern"),
 }
 
