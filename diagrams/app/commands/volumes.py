@@ -69,7 +69,7 @@ def track_command(
     from sonoservo.diagrams.app.viewed_run import ViewedRun
     from sonoservo.diagrams.app.volumes.opening import open_volumes
     from sonoservo.diagrams.app.volumes.track import track_recording, tracker_parameters
-    from sonoservo.systems.live.connection.protocols import is_address
+    from sonoservo.systems.live.connection.address import is_address
 
     live = is_address(source)
     parameters = tracker_parameters(
@@ -168,7 +168,7 @@ def bridge_command(
 ) -> None:
     """Record a live connection, or play a recording as a scanner would."""
     from sonoservo.diagrams.app.live.bridge import play_file, record_address
-    from sonoservo.systems.live.connection.protocols import is_address
+    from sonoservo.systems.live.connection.address import is_address
 
     if is_address(source) == is_address(target):
         raise ConfigurationError(
@@ -256,7 +256,7 @@ def check_command(
     from sonoservo.diagrams.app.volumes.check import check_file, check_stream
     from sonoservo.systems.evaluation.reports.plots import png
     from sonoservo.systems.files.writing import write_atomically
-    from sonoservo.systems.live.connection.protocols import is_address, parse_address
+    from sonoservo.systems.live.connection.address import is_address, parse_address
 
     if is_address(source):
         reading.refuse_for_streams()

@@ -10,8 +10,8 @@ from sonoservo.diagrams.app.live.track_live import live_volumes
 from sonoservo.diagrams.app.options import LiveLimits, ReadingFrames
 from sonoservo.diagrams.app.volumes.check import brief_finding, brief_stream_finding
 from sonoservo.diagrams.app.volumes.opening import Opened, live_source, open_volumes
+from sonoservo.systems.live.connection.address import parse_address
 from sonoservo.systems.live.connection.link import Link
-from sonoservo.systems.live.connection.protocols import parse_address
 from sonoservo.systems.live.feeds import IMAGE, volume_items
 from sonoservo.systems.live.live_source import LiveSource
 from sonoservo.systems.recording.recording_writer import RecordingWriter

@@ -22,8 +22,8 @@ from sonoservo.diagrams.needle_tracker import MakeNeedleTracker
 from sonoservo.diagrams.tracker_bench import Sample, Sink, Tracked, TrackerBench
 from sonoservo.diagrams.trackers.tracker_parts import TrackerParameters
 from sonoservo.systems.files.writing import write_json
+from sonoservo.systems.live.connection.address import parse_address
 from sonoservo.systems.live.connection.link import Link
-from sonoservo.systems.live.connection.protocols import parse_address
 from sonoservo.systems.live.feeds import NeedleNames, needle_items
 from sonoservo.systems.live.live_source import LiveSource
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
