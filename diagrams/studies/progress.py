@@ -1,6 +1,5 @@
 """Progress of a study: a bar with rate, workers, failures and the time left."""
 
-import threading
 import time
 from collections.abc import Sequence
 from typing import Self
@@ -57,28 +56,3 @@ class StudyProgress:
         status = f"{rate:.3g}/min, {self._executor.slots} at once, {self._failed} failed"
         name = outcome.case.experiment
         self._bar.update(self._task, advance=1, description=name, status=status)
-
-
-class Heartbeat:
-    """Prints every few seconds how long something has taken, unless the console is a terminal."""
-
-    def __init__(self, console: Console, what: str, period: float = 5.0) -> None:
-        self._console, self._what, self._period = console, what, period
-        self._over = threading.Event()
-        self._thread = threading.Thread(target=self._beat, daemon=True)
-
-    def __enter__(self) -> Self:
-        self._console.print(f"{self._what} ...")
-        if not self._console.is_terminal:
-            self._thread.start()
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self._over.set()
-        if self._thread.is_alive():
-            self._thread.join()
-
-    def _beat(self) -> None:
-        began = time.monotonic()
-        while not self._over.wait(self._period):
-            self._console.print(f"{self._what} ... {time.monotonic() - began:.0f} s")
