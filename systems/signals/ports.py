@@ -110,6 +110,14 @@ def evaluate(system: System, context: Context, port: str, expected: Types) -> An
     return evaluate_port(system.GetInputPort(port), context, expected)
 
 
+def evaluate_optional(
+    system: System, context: Context, port: str, expected: type[T] | tuple[type[T], ...]
+) -> T | None:
+    """Evaluate an abstract or vector input port as `evaluate` does; None if it has no value."""
+    found = system.GetInputPort(port)
+    return evaluate_port(found, context, expected) if found.HasValue(context) else None
+
+
 def evaluate_port(port: InputPort, context: Context, expected: type[T] | tuple[type[T], ...]) -> T:
     """Evaluate an abstract input port as `evaluate` does, without looking it up by its name."""
     value = port.Eval(context)
