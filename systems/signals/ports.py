@@ -38,20 +38,10 @@ def declare_output(
     calc: Callable[[Context, Any], None],
     prerequisites: Iterable[Any] | None = None,
 ) -> OutputPort:
-    """Declare an abstract output port that gives Python objects.
+    """Declare an abstract output port that gives Python objects of a type or types.
 
-    Parameters
-    ----------
-    system
-        System that is being constructed.
-    name
-        Name of the port.
-    types
-        Type or types of the value.
-    calc
-        Callback that sets the port's value.
-    prerequisites
-        Tickets of all that the value depends on; every source if None.
+    The callback sets the port's value. Prerequisites are the tickets of all that it depends on;
+    every source if None.
     """
     allocate = Value[object](types).Clone
     if prerequisites is None:
