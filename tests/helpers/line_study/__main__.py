@@ -2,6 +2,7 @@
 
 import argparse
 from dataclasses import dataclass, fields
+from itertools import pairwise
 from unittest import mock
 
 import numpy as np
@@ -144,7 +145,7 @@ def main(arguments=None):
             values = [getattr(row, field.name) for field in fields(Row)]
             print("  ".join(f"{x:.2f}" if isinstance(x, float) else str(x) for x in values))
     p, right = np.array(stated).T
-    for low, high in zip(BINS[:-1], BINS[1:], strict=True):
+    for low, high in pairwise(BINS):
         here = (p >= low) & ((p < high) | (high == 1.0))
         if here.any():
             print(f"stated {p[here].mean():.2f}: right {right[here].mean():.2f} of {here.sum()}")

@@ -85,6 +85,11 @@ def acquire(kind, seed):
         context = simulator.get_context()
         volumes = list(collector.volumes(collector.GetMyContextFromRoot(context)))
         log = logger.log(logger.GetMyContextFromRoot(context))
+    return recording_of(volumes, log)
+
+
+def recording_of(volumes, log):
+    """Return the `Recording` of volumes and the log of their run."""
     times = np.array([volume.time for volume in volumes])
     poses, points = at_times(log, log.X_WP, times), at_times(log, log.needle_points, times)
     needles = []
@@ -94,7 +99,8 @@ def acquire(kind, seed):
             X = np.broadcast_to(poses[n], (len(points[n]), 4, 4))
             needle = acquired_from(volume, volume.X_WP.multiply(in_frame(X, points[n]).T).T)
         needles.append(needle)
-    shown = [0.0 if p is None else conspicuous_length(v, p) for v, p in zip(volumes, needles)]
+    each = zip(volumes, needles, strict=True)
+    shown = [0.0 if p is None else conspicuous_length(volume, p) for volume, p in each]
     return Recording(volumes, needles, np.array(shown))
 
 
