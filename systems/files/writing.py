@@ -6,10 +6,11 @@ import json
 import math
 import os
 import tempfile
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, Self
 
 from sonoservo.systems.files.refusals import ConfigurationError
 
@@ -159,3 +160,17 @@ def claim(handle: int, path: Path, other: str) -> None:
         ) from error
     except OSError:
         return  # a file system without locks
+
+
+class Closing(ABC):
+    """Base of what is closed at the end of a ``with`` block."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+    @abstractmethod
+    def close(self) -> None:
+        """End the work; what it needs to be complete happens here."""

@@ -6,9 +6,9 @@ from collections import Counter, deque
 from collections.abc import Callable
 from typing import Any, Protocol, Self
 
+from sonoservo.systems.live.connection.address import Address
 from sonoservo.systems.live.connection.items import Item
 from sonoservo.systems.live.connection.link import Link
-from sonoservo.systems.live.connection.protocols import Address
 from sonoservo.systems.live.image_matcher import (
     MAX_WAITING,
     ImageMatcher,
