@@ -28,7 +28,7 @@ from sonoservo.systems.display.console.controls import operator_controls
 from sonoservo.systems.display.console.operator_panel import OperatorPanel
 from sonoservo.systems.evaluation.log import write_log
 from sonoservo.systems.files.writing import claim_folder, write_atomically
-from sonoservo.systems.needle.operator_hand import OperatorHand
+from sonoservo.systems.needle.hand import OperatorHand
 from sonoservo.systems.robot.operator_phantom_motion import OperatorPhantomMotion
 
 if TYPE_CHECKING:

@@ -5,11 +5,11 @@ from .needles.needle_kind import load_needle as load_needle
 from .reaction.deformation import Deformation as Deformation
 from .reaction.deformation import Indentation as Indentation
 from .reaction.deformation import indentation as indentation
-from .reaction.needle_drag import Drag as Drag
-from .reaction.needle_drag import NeedleDragParameters as NeedleDragParameters
-from .reaction.needle_drag import advance_drag as advance_drag
+from .reaction.tissue_reaction import Drag as Drag
+from .reaction.tissue_reaction import NeedleDragParameters as NeedleDragParameters
 from .reaction.tissue_reaction import TissueReaction as TissueReaction
 from .reaction.tissue_reaction import TissueReactionParameters as TissueReactionParameters
+from .reaction.tissue_reaction import advance_drag as advance_drag
 from .reaction.tissue_reaction import tissue_deformation as tissue_deformation
 from .rendering import SweepRenderer as SweepRenderer
 from .scanner import Scanner as Scanner

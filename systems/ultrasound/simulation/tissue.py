@@ -27,14 +27,16 @@ from sonoservo.systems.ultrasound.simulation.anatomy.anatomies import (
     LiverAnatomy,
 )
 from sonoservo.systems.ultrasound.simulation.anatomy.label_map import is_label_map
-from sonoservo.systems.ultrasound.simulation.structures.bone import Bone
-from sonoservo.systems.ultrasound.simulation.structures.calcification import Calcification
-from sonoservo.systems.ultrasound.simulation.structures.fascia import Fascia
-from sonoservo.systems.ultrasound.simulation.structures.fat_layer import FatLayer
-from sonoservo.systems.ultrasound.simulation.structures.gas import Gas
-from sonoservo.systems.ultrasound.simulation.structures.n_wires import NWires
-from sonoservo.systems.ultrasound.simulation.structures.resting_needle import RestingNeedle
-from sonoservo.systems.ultrasound.simulation.structures.vessel import Vessel
+from sonoservo.systems.ultrasound.simulation.structures.kinds import (
+    Bone,
+    Calcification,
+    Fascia,
+    FatLayer,
+    Gas,
+    NWires,
+    RestingNeedle,
+    Vessel,
+)
 
 AnyStructure = Bone | Vessel | Fascia | Calcification | Gas | NWires | RestingNeedle
 """Kinds of structures, which the field ``kind`` selects."""

@@ -12,9 +12,11 @@ from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.sweep import Sweep
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
-from sonoservo.systems.ultrasound.simulation.errors.clock import ClockParameters
-from sonoservo.systems.ultrasound.simulation.errors.connection import ConnectionParameters
-from sonoservo.systems.ultrasound.simulation.errors.motor import MotorParameters
+from sonoservo.systems.ultrasound.simulation.errors import (
+    ClockParameters,
+    ConnectionParameters,
+    MotorParameters,
+)
 from sonoservo.systems.ultrasound.simulation.scanner import Scanner
 from sonoservo.systems.ultrasound.simulation.scanner_parameters import ScannerParameters
 from sonoservo.systems.ultrasound.simulation.tissue import Tissue

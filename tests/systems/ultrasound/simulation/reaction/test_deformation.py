@@ -17,11 +17,13 @@ from sonoservo.systems.ultrasound.simulation.reaction.deformation import (
     indentation,
 )
 from sonoservo.systems.ultrasound.simulation.rendering import SweepRenderer
-from sonoservo.systems.ultrasound.simulation.structures.calcification import Calcification
-from sonoservo.systems.ultrasound.simulation.structures.fascia import Fascia
-from sonoservo.systems.ultrasound.simulation.structures.fat_layer import FatLayer
-from sonoservo.systems.ultrasound.simulation.structures.resting_needle import RestingNeedle
-from sonoservo.systems.ultrasound.simulation.structures.vessel import Vessel
+from sonoservo.systems.ultrasound.simulation.structures.kinds import (
+    Calcification,
+    Fascia,
+    FatLayer,
+    RestingNeedle,
+    Vessel,
+)
 from sonoservo.systems.ultrasound.simulation.tissue import Ball, Tissue
 from sonoservo.systems.ultrasound.transducer import Transducer
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sonoservo.systems.ultrasound.simulation.reaction.needle_drag import (
+from sonoservo.systems.ultrasound.simulation.reaction.tissue_reaction import (
     Drag,
     NeedleDragParameters,
     advance_drag,

@@ -12,14 +12,12 @@ from speckle_motion import speckle_motion
 from sonoservo.systems.robot.phantom_motion import Breathing
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
-from sonoservo.systems.ultrasound.simulation.reaction.needle_drag import (
+from sonoservo.systems.ultrasound.simulation.reaction.tissue_reaction import (
     Drag,
     NeedleDragParameters,
-    advance_drag,
-)
-from sonoservo.systems.ultrasound.simulation.reaction.tissue_reaction import (
     TissueReaction,
     TissueReactionParameters,
+    advance_drag,
     tissue_deformation,
 )
 from sonoservo.systems.ultrasound.simulation.scanner import Scanner
