@@ -55,20 +55,8 @@ from sonoservo.systems.ultrasound.transducer import Transducer
 class Frames:
     """Successive frames of a sweep, with the true state of the world at each frame's time.
 
-    Parameters
-    ----------
-    part
-        Numbers of the frames; frames are numbered towards +Z.
-    direction
-        +1 for a sweep towards +Z, -1 towards -Z.
-    X_TP
-        (n, 4, 4) pose of the probe in the tissue.
-    times
-        (n,) times in s, for pulsation, flow and fading.
-    needles
-        True needle in T, possibly empty.
-    deformations
-        Deformation of the tissue; None for undeformed tissue.
+    ``part`` has their numbers, towards +Z whatever the direction of the sweep; see
+    `SweepRenderer.echo`.
     """
 
     part: slice

@@ -248,13 +248,7 @@ class Tissue:
     def placed(self, entry: ArrayLike, direction: ArrayLike, layout: int | None = None) -> "Tissue":
         """Return the tissue with its structures moved to their positions beside the needle's path.
 
-        Parameters
-        ----------
-        entry, direction
-            (3,) entry of the needle, in m, and (3,) direction of its axis, both in T.
-        layout
-            Seed of a run, which draws how the positions differ from those stated; see
-            `BesideNeedle.drawn`. None leaves them as stated.
+        The seed of a run, if given, draws a layout; see `BesideNeedle.drawn`.
         """
         structures = self.structures
         if layout is not None:

@@ -29,14 +29,7 @@ def level_surface(
         A = |g| / (2 g1 g2 g3) sum over corners s of (-1)^|s| max(c - g . s, 0)^2
 
     with |g_i| for g_i and c the level above the lowest corner. The areas of a plane's pieces add
-    up to the plane's.
-
-    Parameters
-    ----------
-    field
-        (nx, ny, nz) samples of the field.
-    origin, spacing
-        (3,) position of the first sample, and distance between samples, in m.
+    up to the plane's. The (nx, ny, nz) samples begin at the (3,) origin; lengths are in m.
     """
     inside = field > 0.5
     box = find_objects(inside.astype(np.uint8))
@@ -154,18 +147,9 @@ class LabelProperties(Bounded):
 
 @dataclass(frozen=True, eq=False)
 class AnatomyGrid(Immutable):
-    """A label map in the tissue frame T.
+    """A label map in the tissue frame T, whose first cube begins at the (3,) origin, in m.
 
-    Parameters
-    ----------
-    numbers
-        (nx, ny, nz) uint8 indices of the cubes' entries in ``properties``.
-    origin, spacing
-        (3,) corner of the first cube in T, and edge of a cube, in m.
-    properties
-        Properties of the labels.
-    surfaces
-        Surfaces of the labels, with their echoes.
+    ``numbers`` are (nx, ny, nz) uint8 indices of the cubes' ``properties``.
     """
 
     numbers: NDArray[np.uint8]
@@ -214,12 +198,8 @@ def anatomy_grid(label_map: LabelMap, parameters: AnatomyParameters) -> AnatomyG
     """Resample a label map to cubes of the tissue frame, and extract the surfaces of its labels.
 
     The label of a cube is the one with the largest smoothed share of the voxels around it, so
-    coarse or oblique voxels leave no visible steps.
-
-    Raises
-    ------
-    ValueError
-        If the map has a label that the table lacks, or is too large.
+    coarse or oblique voxels leave no visible steps. A ValueError names a label that the table
+    lacks, or a map that is too large.
     """
     table = {each.label: each for each in parameters.labels}
     table.setdefault(0, LabelProperties(label=0, name="tissue"))

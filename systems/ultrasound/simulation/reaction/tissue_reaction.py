@@ -74,18 +74,8 @@ def advance_drag(
         ds/dt = v - s / tau            while |s| < distance,
         ds/dt = -+ (1 - kept) distance / slip_time     from distance to kept x distance.
 
-    Both are solved in closed form, so the result does not depend on the size of the steps.
-
-    Parameters
-    ----------
-    drag
-        Drag at the beginning.
-    advance
-        Distance in m by which the needle moves, negative for a withdrawal.
-    duration
-        Duration of the motion, in s.
-    parameters
-        Parameters of the friction.
+    Both are solved in closed form, so the result does not depend on the size of the steps. The
+    needle advances by so many m, negative for a withdrawal, in a duration in s.
     """
     most, tau = parameters.distance, parameters.relaxation_time
     s, slides = drag
@@ -143,19 +133,7 @@ def tissue_deformation(
     dome_radius: float,
     parameters: TissueReactionParameters,
 ) -> Deformation:
-    """Return the deformation of the tissue.
-
-    Parameters
-    ----------
-    needle
-        Needle in T as pushed, possibly empty; see `Deformation`.
-    drag
-        Drag of the tissue by the needle.
-    X_TP, dome_radius
-        Pose of the probe in the tissue, and radius of its dome in m; see `indentation`.
-    parameters
-        Parameters of the reaction.
-    """
+    """Return the deformation by a needle in T as pushed and a probe; see `indentation`."""
     return Deformation(
         indentation(X_TP, dome_radius) if parameters.indentation else Indentation(),
         needle.shaft,

@@ -106,12 +106,6 @@ def test_needle_and_deformation_are_those_of_the_pure_functions():
     assert read("needle").tip[2] < needle.tip[2] - 0.5e-3
 
 
-@pytest.mark.parametrize("share", [-0.1, 1.1, float("nan")])
-def test_bad_share_is_refused(share):
-    with pytest.raises(ValueError, match="pushed_aside: .* is not allowed"):
-        TissueReactionParameters(pushed_aside=share)
-
-
 def make_scanner():
     return Scanner(
         transducer=Transducer(),
