@@ -10,6 +10,7 @@ linear in the seven unknowns.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from numpy.polynomial import polynomial
@@ -20,7 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from sonoservo.systems.calibration.tissue_displacement import TissueDisplacement
 from sonoservo.systems.signals.acquisition import acquired_from
-from sonoservo.systems.signals.immutable import Immutable, NotFound, read_only
+from sonoservo.systems.signals.immutable import Immutable, NotFound, Shape, Vector3
 from sonoservo.systems.signals.sweep import SweepMotion
 from sonoservo.systems.signals.volume import Volume
 
@@ -57,15 +58,11 @@ class PoseErrors(Immutable):
     """
 
     delay: float
-    translation: Floats
-    rotation: Floats
-    covariance: Floats
+    translation: Vector3
+    rotation: Vector3
+    covariance: Annotated[Floats, Shape(7, 7)]
     pairs: int
     blocks: int
-
-    def __post_init__(self) -> None:
-        for name, shape in (("translation", (3,)), ("rotation", (3,)), ("covariance", (7, 7))):
-            object.__setattr__(self, name, read_only(getattr(self, name), name, shape))
 
     @property
     def std(self) -> Floats:
@@ -98,15 +95,8 @@ class PoseErrors(Immutable):
 class PoseEquations(Immutable):
     """(3 m, 7) coefficients and (3 m,) apparent displacements in m of one pair of volumes."""
 
-    matrix: Floats
-    displacement: Floats
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "matrix", read_only(self.matrix, "matrix", (None, 7)))
-        shape = (len(self.matrix),)
-        object.__setattr__(
-            self, "displacement", read_only(self.displacement, "displacement", shape)
-        )
+    matrix: Annotated[Floats, Shape("m", 7)]
+    displacement: Annotated[Floats, Shape("m")]
 
 
 def probe_velocities(motion: SweepMotion, times: Floats) -> tuple[Floats, Floats]:

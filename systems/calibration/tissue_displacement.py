@@ -1,13 +1,14 @@
 """Apparent displacement of tissue between two volumes, by the poses that they carry."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sonoservo.systems.shape.normalized_cross_correlation import Match, best_match
 from sonoservo.systems.signals.acquisition import acquired_from
-from sonoservo.systems.signals.immutable import Immutable, read_only
+from sonoservo.systems.signals.immutable import Immutable, Shape
 from sonoservo.systems.signals.volume import Volume
 
 Floats = NDArray[np.float64]
@@ -24,12 +25,8 @@ _LEAST_CORRELATION = 0.5  # Correlation below which a block counts as changed
 class TissueDisplacement(Immutable):
     """(m, 3) centres of blocks in W by the first volume, and displacements in the second, in m."""
 
-    p_W: Floats
-    displacement: Floats
-
-    def __post_init__(self) -> None:
-        for name in ("p_W", "displacement"):
-            object.__setattr__(self, name, read_only(getattr(self, name), name, (None, 3)))
+    p_W: Annotated[Floats, Shape(None, 3)]
+    displacement: Annotated[Floats, Shape(None, 3)]
 
 
 def displacement_between(first: Volume, second: Volume) -> TissueDisplacement:

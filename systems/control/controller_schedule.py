@@ -1,7 +1,7 @@
 """Schedule of controller settings, each of which holds until the next change."""
 
 from bisect import bisect_right
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from sonoservo.systems.signals.immutable import Immutable
 from sonoservo.systems.signals.requirements import Bounded, NotNegative, Positive, Time
@@ -42,13 +42,9 @@ class ControllerSchedule(Immutable):
         self._times = [change.time for change in changes]
         self._settings = [start]
         for change in changes:
-            last = self._settings[-1]
-            self._settings.append(
-                ControllerSettings(
-                    last.gain if change.gain is None else change.gain,
-                    last.force if change.force is None else change.force,
-                )
-            )
+            new = {"gain": change.gain, "force": change.force}
+            changed = {name: value for name, value in new.items() if value is not None}
+            self._settings.append(replace(self._settings[-1], **changed))
 
     def at(self, time: float) -> ControllerSettings:
         """Return the settings that hold at a time in s; a change holds from its own time on."""

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from itertools import compress
 from typing import Any
 
 import numpy as np
@@ -150,7 +151,7 @@ def tracking(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
     in_view = np.where(np.isfinite(visible), visible, length)
     lost = judged & ~tracked & (in_view > parameters.min_length)
 
-    errors = estimate_errors(log)
+    errors, unknown = estimate_errors(log), ~is_known(log.volume_estimate_tip)
     followed = is_known(log.estimate_tip) & (log.estimate_mode != TrackingMode.LOST)
     absent = log.inserted_length == 0
     right = from_needle(log, log.time, log.estimate_tip) <= parameters.start_tolerance
@@ -162,13 +163,7 @@ def tracking(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
         "estimated": int(np.sum(judged & np.isfinite(errors.tip))),
         "lost": int(np.sum(lost)),
         "lost_events": _losses(lost, in_view, length, parameters.min_length),
-        "reasons": ReasonCount(
-            reason
-            for reason, known in zip(
-                volume_reasons(log), is_known(log.volume_estimate_tip), strict=True
-            )
-            if not known
-        ).words,
+        "reasons": ReasonCount(compress(volume_reasons(log), unknown)).words,
         "absent_s": _seconds(followed & absent, log.time),
         "wrong_s": _seconds(followed & judgeable & ~right, log.time),
         "absent_travel_mm": 1e3 * _seconds(absent, log.time, np.nan_to_num(speed)),

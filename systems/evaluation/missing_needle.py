@@ -35,12 +35,8 @@ def missing_needle(log: RunLog) -> tuple[str, str]:
         )
     shown = [reason for reason, each in zip(reasons, seen, strict=True) if each] or reasons
     # The first volumes have nothing to be compared with, whatever else is wrong.
-    kinds = [SearchReason.of(each) for each in shown]
-    shown = [
-        each
-        for each, kind in zip(shown, kinds, strict=True)
-        if kind is not SearchReason.NOTHING_EARLIER
-    ] or shown
+    early = SearchReason.NOTHING_EARLIER
+    shown = [each for each in shown if SearchReason.of(each) is not early] or shown
     counts = Counter(SearchReason.of(each) or each for each in shown)
     usual, _ = counts.most_common(1)[0]
     last = next(each for each in reversed(shown) if (SearchReason.of(each) or each) == usual)
@@ -49,15 +45,8 @@ def missing_needle(log: RunLog) -> tuple[str, str]:
 
 def volume_reasons(log: RunLog) -> list[str]:
     """Return for each volume of a log why it gave no needle; empty if nothing was said."""
-    return [
-        _reason(*each)
-        for each in zip(
-            log.volume_detected.tolist(),
-            log.volume_detection_reason.tolist(),
-            log.volume_measurement_reason.tolist(),
-            strict=True,
-        )
-    ]
+    given = log.volume_detected, log.volume_detection_reason, log.volume_measurement_reason
+    return [_reason(*each) for each in zip(*(column.tolist() for column in given), strict=True)]
 
 
 def _reason(is_detected: bool, detection: str, measurement: str) -> str:

@@ -3,10 +3,10 @@
 from collections import deque
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
-from pydrake.common.value import Value
-from pydrake.systems.framework import Context, LeafSystem, ValueProducer
+from pydrake.systems.framework import Context, LeafSystem
 
 from sonoservo.systems.evaluation.explanation.explained_volume import (
     FOLDER,
@@ -14,16 +14,19 @@ from sonoservo.systems.evaluation.explanation.explained_volume import (
     explain_volume,
     write_explanation,
 )
-from sonoservo.systems.signals.immutable import Immutable, NotFound
+from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.leaves import declare_looks, declare_memory
 from sonoservo.systems.signals.localization_explanation import LocalizationExplanation
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
-from sonoservo.systems.signals.ports import declare_inputs, evaluate
-from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
+from sonoservo.systems.signals.ports import declare_inputs, evaluate, evaluate_optional
+from sonoservo.systems.signals.requirements import require, require_positive
 from sonoservo.systems.signals.volume import Volume
 
+BEFORE, AFTER = "before", "after"
+"""Names for the volumes kept because they precede or follow an occasion."""
 
-@dataclass(frozen=True, eq=False)
-class _Look(Immutable):
+
+class _Look(NamedTuple):
     """A volume that was searched, and the estimates before and after it."""
 
     volume: Volume
@@ -83,8 +86,7 @@ class ExplanationRecorder(LeafSystem):
         offset: float = 0.0,
     ) -> None:
         super().__init__()
-        require_positive(period=period, max_jump=max_jump)
-        require_not_negative(offset=offset)
+        require_positive(max_jump=max_jump)
         for name, count in (("before", before), ("after", after)):
             require(count >= 0, name, count, "0 or more")
         self._folder = folder
@@ -96,33 +98,21 @@ class ExplanationRecorder(LeafSystem):
             explanation=(LocalizationExplanation, NotFound),
             detection=object,
         )
-        self._run = self.DeclareCacheEntry(
-            "run",
-            ValueProducer(lambda: Value[object](_Run()), ValueProducer.NoopCalc),
-            {self.nothing_ticket()},
-        )
-        self.DeclareInitializationPublishEvent(self._start)
-        self.DeclarePeriodicPublishEvent(period, offset, self._look)
-        self.DeclareForcedPublishEvent(self._look)
-
-    def _run_of(self, context: Context) -> _Run:
-        run = self._run.get_mutable_cache_entry_value(context).GetMutableValueOrThrow()
-        assert isinstance(run, _Run)
-        return run
+        self._run = declare_memory(self, _Run)
+        declare_looks(self, self._look, period=period, offset=offset, start=self._start)
 
     def _start(self, context: Context) -> None:
-        vars(self._run_of(context)).update(vars(_Run()))
+        vars(self._run(context)).update(vars(_Run()))
 
     def _look(self, context: Context) -> None:
         """Process the volume if it is new and the estimate was made from it."""
-        run = self._run_of(context)
+        run = self._run(context)
         if not run.begun:
             clear_explanations(self._folder)
             (self._folder / FOLDER).mkdir(parents=True, exist_ok=True)
             run.begun = True
         volume = evaluate(self, context, "volume", (Volume, NotFound))
-        after = evaluate(self, context, "estimate", NeedleEstimate)
-        before = run.estimate
+        before, after = run.estimate, evaluate(self, context, "estimate", NeedleEstimate)
         if not isinstance(volume, Volume) or volume.time != after.volume_time:
             return
         if before is not None and before.volume_time >= volume.time:
@@ -130,7 +120,7 @@ class ExplanationRecorder(LeafSystem):
         explanation = evaluate(self, context, "explanation", (LocalizationExplanation, NotFound))
         if not isinstance(explanation, LocalizationExplanation):
             return
-        first = self._detects(context) and not run.detected
+        first = bool(evaluate_optional(self, context, "detection", object)) and not run.detected
         occasion = find_occasion(before, after, detected=first, max_jump=self._max_jump)
         run.detected |= first
         run.estimate = after
@@ -145,19 +135,12 @@ class ExplanationRecorder(LeafSystem):
         elif len(run.waiting) > self._before:
             run.waiting.popleft()
 
-    def _detects(self, context: Context) -> bool:
-        port = self.GetInputPort("detection")
-        return port.HasValue(context) and bool(evaluate(self, context, "detection", object))
-
     def _write(self, look: _Look, occasion: str) -> None:
+        volume, explanation, before, after = look
         explained = explain_volume(
-            look.volume, look.explanation, before=look.before, after=look.after, occasion=occasion
+            volume, explanation, before=before, after=after, occasion=occasion
         )
         write_explanation(self._folder, explained)
-
-
-BEFORE, AFTER = "before", "after"
-"""Names for the volumes kept because they precede or follow an occasion."""
 
 
 def find_occasion(
@@ -170,13 +153,8 @@ def find_occasion(
         return f"{before.mode} to {after.mode}"
     if detected:
         return "first detection"
-    jump = tip_jump(before, after)
-    return f"tip jumped {1e3 * jump:.1f} mm" if jump > max_jump else ""
-
-
-def tip_jump(before: NeedleEstimate, after: NeedleEstimate) -> float:
-    """Return the distance in m of a tip from its expected position; 0 if there is no curve."""
     if before.curve is None or after.curve is None:
-        return 0.0
+        return ""
     expected = before.curve.tip + before.tip_velocity * (after.time - before.time)
-    return float(np.linalg.norm(after.curve.tip - expected))
+    jump = float(np.linalg.norm(after.curve.tip - expected))
+    return f"tip jumped {1e3 * jump:.1f} mm" if jump > max_jump else ""

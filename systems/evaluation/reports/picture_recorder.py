@@ -1,13 +1,12 @@
 """The leaf that keeps pictures of every volume, for the report and for movies."""
 
-from pydrake.common.value import Value
-from pydrake.systems.framework import Context, LeafSystem, ValueProducer
+from pydrake.systems.framework import Context, LeafSystem
 
 from sonoservo.systems.evaluation.reports.track_plots import VolumePictures, picture_planes
 from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.leaves import declare_looks, declare_memory
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
 from sonoservo.systems.signals.ports import declare_inputs, evaluate
-from sonoservo.systems.signals.requirements import require_not_negative, require_positive
 from sonoservo.systems.signals.volume import Volume
 
 _MOST = 400  # number of pictures above which every second one is dropped
@@ -33,24 +32,16 @@ class PictureRecorder(LeafSystem):
 
     def __init__(self, *, period: float, offset: float = 0.0) -> None:
         super().__init__()
-        require_positive(period=period)
-        require_not_negative(offset=offset)
         declare_inputs(self, volume=(Volume, NotFound), estimate=NeedleEstimate)
-        self._pictures = self.DeclareCacheEntry(
-            "pictures",
-            ValueProducer(lambda: Value[object]([]), ValueProducer.NoopCalc),
-            {self.nothing_ticket()},
-        )
-        self.DeclareInitializationPublishEvent(lambda context: self.pictures(context).clear())
-        self.DeclarePeriodicPublishEvent(period, offset, self._look)
-        self.DeclareForcedPublishEvent(self._look)
+        self._pictures = declare_memory(self, list[VolumePictures])
+        declare_looks(
+            self, self._look, period=period, offset=offset,
+            start=lambda context: self.pictures(context).clear(),
+        )  # fmt: skip
 
     def pictures(self, context: Context) -> list[VolumePictures]:
         """Return the pictures so far, in order of time."""
-        kept: list[VolumePictures] = self._pictures.get_mutable_cache_entry_value(
-            context
-        ).GetMutableValueOrThrow()
-        return kept
+        return self._pictures(context)
 
     def _look(self, context: Context) -> None:
         volume = evaluate(self, context, "volume", (Volume, NotFound))

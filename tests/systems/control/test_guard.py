@@ -31,36 +31,28 @@ class World(LeafSystem):
     def __init__(self):
         super().__init__()
         self.velocity, self.pressing, self.shift = np.zeros(N), 0.0, np.zeros(3)
-        self.q, self.frozen = HOME.copy(), None
-        self.silent, self.sample = False, None
-        self.felt_by_arm, self.torque = None, None
+        self.q, self.frozen, self.felt_by_arm = HOME.copy(), None, None
+        self.silent, self.sample, self.confirmations = False, None, 0
         self.DeclareVectorInputPort("joint_command", 2 * N)
-        self.DeclareVectorOutputPort(
-            "wanted_command", 2 * N, self._calc_wanted, {self.time_ticket()}
-        )
-        self.DeclareVectorOutputPort("joint_state", 2 * N, self._calc_state, {self.time_ticket()})
-        self.DeclareAbstractOutputPort(
-            "wrist_force",
-            lambda: Value(SpatialForce.Zero()),
-            self._calc_force,
-            {self.time_ticket()},
-        )
-        self.DeclareAbstractOutputPort(
-            "X_WP", lambda: Value(RigidTransform()), self._calc_pose, {self.time_ticket()}
-        )
+        for name, size, value in (
+            ("wanted_command", 2 * N, lambda: [*self.q + STEP * self.velocity, *self.velocity]),
+            ("joint_state", 2 * N, lambda: [*self.q, *np.zeros(N)]),
+            ("confirmation", 1, lambda: [self.confirmations]),
+        ):
+            self.DeclareVectorOutputPort(
+                name, size, lambda context, output, value=value: output.SetFromVector(value()),
+                {self.time_ticket()},
+            )  # fmt: skip
         self.DeclareVectorOutputPort("external_torque", N, self._calc_torque, {self.time_ticket()})
-        self.DeclareVectorOutputPort("confirmation", 1, self._calc_confirmation)
-        self.confirmations = 0
+        for name, model, calc in (
+            ("wrist_force", SpatialForce.Zero(), self._calc_force),
+            ("X_WP", RigidTransform(), self._calc_pose),
+        ):
+            self.DeclareAbstractOutputPort(name, Value(model).Clone, calc, {self.time_ticket()})
         self.DeclarePeriodicPublishEvent(STEP, 0, self._follow)
 
     def _follow(self, context):
         self.q = self.GetInputPort("joint_command").Eval(context)[:N].copy()
-
-    def _calc_wanted(self, context, output):
-        output.SetFromVector(np.concatenate([self.q + STEP * self.velocity, self.velocity]))
-
-    def _calc_state(self, context, output):
-        output.SetFromVector(np.concatenate([self.q, np.zeros(N)]))
 
     def _calc_force(self, context, output):
         R = pose(self.q).rotation().matrix()
@@ -80,11 +72,7 @@ class World(LeafSystem):
         )  # fmt: skip
         force = self.pressing if self.felt_by_arm is None else self.felt_by_arm
         noise = 1e-3 * np.random.default_rng(round(1e6 * context.get_time())).standard_normal(N)
-        torque = J[3:].T @ [0, -force, 0] + noise if self.torque is None else self.torque
-        output.SetFromVector(torque)
-
-    def _calc_confirmation(self, context, output):
-        output.SetFromVector([self.confirmations])
+        output.SetFromVector(J[3:].T @ [0, -force, 0] + noise)
 
     def _calc_pose(self, context, output):
         X = self.frozen or pose(self.q)
@@ -139,10 +127,7 @@ def test_commands_pass_bit_for_bit_while_nothing_is_wrong(rig):
         context = rig.world.GetMyContextFromRoot(rig.simulator.get_context())
         wanted = rig.world.GetOutputPort("wanted_command").Eval(context)
         assert (rig.output("joint_command") == wanted).all()
-    assert status.state is GuardState.MONITORING
-    assert status.reason == ""
-    assert not status.stopped
-    assert status.interventions == 0
+    assert (status.state, status.reason, status.interventions) == (GuardState.MONITORING, "", 0)
 
 
 def test_too_much_force_makes_the_probe_retreat_hold_and_go_on(rig):
@@ -167,6 +152,11 @@ def test_too_much_force_makes_the_probe_retreat_hold_and_go_on(rig):
     assert status.state is GuardState.MONITORING
     assert rig.output("acting")[0] == 0
     assert status.interventions == 1
+    rig.world.pressing = 12.0
+    assert rig.run(0.05).stopped
+    rig.world.pressing = 0.0
+    rig.simulator.Initialize()
+    assert (rig.status.stopped, rig.status.interventions) == (False, 0)
 
 
 def test_a_hard_landing_slows_the_approach_until_a_calm_contact(rig):
@@ -179,28 +169,6 @@ def test_a_hard_landing_slows_the_approach_until_a_calm_contact(rig):
     for rig.world.pressing, seconds, scale in ((0.0, 1.0, 0.5), (1.0, 1.0, 0.5), (1.0, 1.5, 1.0)):
         assert not rig.run(seconds).stopped or rig.world.pressing == 0
         assert rig.output("approach_scale")[0] == scale
-
-
-@pytest.mark.parametrize(("wrist", "arm"), [(5.0, 2.0), (2.0, 6.0), (-3.0, 0.0), (0.3, 2.6)])
-def test_witnesses_that_disagree_make_the_probe_retreat_until_they_agree(rig, wrist, arm):
-    rig.run(0.2)
-    for rig.world.pressing in np.linspace(0, wrist, 11):  # the arm's error is 0.6 N
-        rig.world.felt_by_arm = rig.world.pressing / wrist * arm
-        rig.run(STEP)
-    status = rig.run(0.15)
-    if rig.alone and wrist > 0:
-        assert status.state is GuardState.MONITORING
-        return
-    assert status.stopped
-    assert "the wrist sensor reads" in status.reason
-    rig.world.felt_by_arm = 0.0
-    assert rig.run(1.0).state is (
-        GuardState.MONITORING if 0 < wrist < 1 and not rig.alone else GuardState.HOLDING
-    )
-    rig.world.pressing = 0.0
-    status = rig.run(0.5)
-    assert status.state is GuardState.MONITORING
-    assert status.interventions == 1
 
 
 def test_a_sensor_that_was_wrong_three_times_needs_a_person(rig):
@@ -245,26 +213,6 @@ def test_the_body_that_comes_after_a_held_probe_makes_it_retreat_again(rig):
     assert moved.translation()[1] < -0.9 * GuardParameters().clearance
 
 
-@pytest.mark.parametrize("rig", [True], indirect=True)
-@pytest.mark.parametrize(("torque", "reason"), [(np.nan, "not numbers"), (0.1, "frozen")])
-def test_torques_that_are_no_numbers_or_frozen_are_no_witness(rig, torque, reason):
-    rig.run(0.1)
-    rig.world.torque = np.full(N, torque)
-    assert f"torques of the arm are {reason}" in rig.run(0.1).reason
-    rig.world.torque = None
-    assert not rig.run(0.6).stopped
-
-
-def test_one_sample_of_force_is_inertia(rig):
-    rig.run(0.1)
-    rig.world.pressing = 12.0
-    rig.run(STEP)
-    rig.world.pressing = 0.0
-    status = rig.run(0.1)
-    assert status.interventions == 0
-    assert "too short for a stop (force)" in status.remark
-
-
 @pytest.mark.parametrize(
     ("velocity", "reason"),
     [
@@ -290,31 +238,6 @@ def test_a_command_that_breaks_a_limit_stops_the_arm(rig, velocity, reason):
     np.testing.assert_allclose(rig.world.q, resting, atol=1e-9)
     rig.world.velocity = np.zeros(N)
     assert rig.run(0.3).state is GuardState.MONITORING
-
-
-@pytest.mark.parametrize(
-    ("shift", "reason"), [(np.nan, "pose of the probe is not a number"), (0.02, "10 mm from where")]
-)
-def test_a_pose_that_cannot_be_stops_the_arm_until_it_is_good_again(rig, shift, reason):
-    rig.run(0.05)
-    rig.world.shift = np.array([shift, 0, 0])
-    status = rig.run(0.05)
-    assert status.state is GuardState.HOLDING
-    assert reason in status.reason
-    rig.world.shift = np.zeros(3)
-    assert rig.run(0.3).state is GuardState.MONITORING
-
-
-@pytest.mark.parametrize("shift", [np.nan, 0.03])
-def test_a_pose_that_is_wrong_in_one_step_is_seen(rig, shift):
-    for seconds in 0.1 + STEP * np.arange(4):  # whichever step lies between two checks
-        rig.simulator.get_mutable_context().SetTime(0.0)
-        rig.simulator.Initialize()
-        assert rig.run(seconds).interventions == 0
-        rig.world.shift = np.array([shift, 0, 0])
-        rig.run(STEP)
-        rig.world.shift = np.zeros(3)
-        assert rig.run(STEP).stopped
 
 
 def test_repeated_samples_and_small_steps_of_the_force_are_noted(rig):
@@ -359,13 +282,3 @@ def test_the_workspace_is_left_by_nobody_and_the_way_back_is_free(rig):
     assert 0.25 <= beyond < 0.253
     rig.world.velocity = np.r_[-0.2, np.zeros(N - 1)]
     assert rig.run(1.0).state is GuardState.MONITORING
-
-
-def test_it_is_restarted_by_initialization(rig):
-    rig.run(0.12)
-    rig.world.pressing = 12.0
-    assert rig.run(0.05).stopped
-    rig.world.pressing = 0.0
-    rig.simulator.Initialize()
-    assert not rig.status.stopped
-    assert rig.status.interventions == 0

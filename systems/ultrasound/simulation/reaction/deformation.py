@@ -2,17 +2,17 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform
 
-from sonoservo.systems.signals.immutable import Immutable, read_only
+from sonoservo.systems.signals.immutable import Immutable, Shape
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.requirements import (
     NotNegative,
     Positive,
-    check_bounds,
 )
 from sonoservo.systems.ultrasound.simulation.kernels.displacement import (
     NO_DISPLACEMENTS,
@@ -47,9 +47,6 @@ class Indentation(Immutable):
     y: float = 0.0
     depth: NotNegative = 0.0
     dome_radius: Positive = 1.0
-
-    def __post_init__(self) -> None:
-        check_bounds(self)
 
     @property
     def radius(self) -> float:
@@ -94,14 +91,10 @@ class Deformation(Immutable):
     """
 
     indentation: Indentation = Indentation()
-    shaft: NDArray[np.float64] = field(default_factory=lambda: _NO_SHAFT)
+    shaft: Annotated[NDArray[np.float64], Shape(None, 3)] = field(default_factory=lambda: _NO_SHAFT)
     drag: float = 0.0
     drag_reach: Positive = 8e-3
     hole_radius: NotNegative = 0.0
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "shaft", read_only(self.shaft, "shaft", (None, 3)))
-        check_bounds(self)
 
     def moved(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the (n, 3) displaced positions of (n, 3) points of the tissue, in T, in m."""

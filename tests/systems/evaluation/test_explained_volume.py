@@ -83,14 +83,6 @@ def test_nothing_is_kept_of_what_was_not_looked_at():
     np.testing.assert_allclose(kept.to_probe(np.eye(3)), np.eye(3))
 
 
-def test_a_failure_is_explained_as_far_as_it_went():
-    kept = explained(found=False)
-    assert (kept.mode_after, kept.sliced) == ("coasting", "predicted")
-    assert len(kept.candidates) > 20
-    assert len(kept.measured) == 0
-    assert kept.attempt_reasons[0]
-
-
 def test_the_search_that_decided_is_the_one_that_found_the_needle_or_came_furthest():
     found = look(SCENE.volume(0, lambda t: NEEDLE), predicted()).attempts[0]
     failed = look(SCENE.volume(1), predicted()).attempts[0]
