@@ -144,6 +144,7 @@ def test_a_hard_landing_slows_the_approach_until_a_calm_contact(rig):
         assert rig.output("approach_scale")[0] == scale
 
 
+@pytest.mark.parametrize("rig", [True], indirect=True)
 def test_a_sensor_that_was_wrong_three_times_needs_a_person(rig):
     waits = []
     for number in range(3):
@@ -161,6 +162,7 @@ def test_a_sensor_that_was_wrong_three_times_needs_a_person(rig):
     assert not rig.run(0.1).stopped
 
 
+@pytest.mark.parametrize("rig", [True], indirect=True)
 def test_contact_in_which_the_witnesses_agree_ends_the_doubt(rig):
     for _ in range(2):  # a second doubt would have to wait for 5 s
         rig.pressing, rig.felt_by_arm = -3.0, 0.0
@@ -244,6 +246,7 @@ def test_a_frozen_pose_stops_a_probe_that_moves_and_is_noted_at_rest(rig, moves)
     assert rig.run(0.4).state is GuardState.MONITORING
 
 
+@pytest.mark.parametrize("rig", [True], indirect=True)
 def test_the_workspace_is_left_by_nobody_and_the_way_back_is_free(rig):
     # Joint 1 turns the probe aside at 0.1 m/s.
     rig.velocity = np.r_[0.2, np.zeros(N - 1)]
