@@ -86,7 +86,7 @@ class ShapePaths(NamedTuple):
     origins: Floats
     weights: Floats
     origin_variance: float = 0.0
-    wander: Floats = np.zeros((0, 0, 2))
+    wander: Any = None  # (n, k, 2), unless every curvature is constant
     wander_length: float = 0.02
 
 
