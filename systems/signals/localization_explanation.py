@@ -90,10 +90,11 @@ class NeedleExtent(Immutable):
         Abscissae between which the needle stands out, in m.
     tip, tip_std
         Abscissa of the end that is taken for the tip and its standard deviation, in m.
-    hidden_std
-        Standard deviation in m of what is not seen beyond the end: of the bevel, or of a needle
-        that fades. It stays as long as the needle is turned as it is, and is not part of
-        ``tip_std``.
+    bevel_std
+        Standard deviation in m of the part of the bevel that is not seen beyond the end. It stays
+        as long as the needle is turned as it is, and is not part of ``tip_std``.
+    unseen
+        Probability that a needle which goes on beyond the end is not seen there.
     seen
         Probability that this is the end.
     elsewhere
@@ -113,7 +114,8 @@ class NeedleExtent(Immutable):
     end: float
     tip: float
     tip_std: float
-    hidden_std: float
+    bevel_std: float
+    unseen: float
     seen: float
     elsewhere: NDArray[np.float64]
     entered: float

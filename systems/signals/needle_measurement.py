@@ -35,9 +35,11 @@ class NeedleMeasurement(Immutable):
     elsewhere
         (c, 3) other places of the tip along the needle: probabilities, distances from the end of
         the curve and standard deviations, in m. The covariance is that of the first place alone.
-    hidden_std
+    bevel_std
         Standard deviation along the needle, in m, of an error of the tip that all measurements have
-        in common, as long as the needle is turned as it is; not part of the covariance.
+        in common, as the bevel is turned as it is; not part of the covariance.
+    unseen
+        Probability that a needle which goes on beyond the end is not seen there.
     """
 
     curve: NeedleCurve
@@ -48,7 +50,8 @@ class NeedleMeasurement(Immutable):
     X_WP: RigidTransform | None = None
     tip_seen: Annotated[float, within(0, 1)] = 1.0
     elsewhere: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
-    hidden_std: float = 0.0
+    bevel_std: float = 0.0
+    unseen: Annotated[float, within(0, 1)] = 0.0
 
     def __post_init__(self) -> None:
         size = 3 * self.curve.order

@@ -1,13 +1,15 @@
-"""Interacting Kalman filters on the needle's control points: steady, unsteady and carried along."""
+"""Interacting Kalman filters on the needle: steady, unsteady, carried along, or going on unseen."""
 
 import math
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
 from filterpy.kalman import predict
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform
+from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
 from sonoservo.systems.signals.immutable import Immutable, read_only
@@ -16,6 +18,7 @@ from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
 from sonoservo.systems.signals.requirements import Positive, check_bounds, require
 from sonoservo.systems.signals.velocity_measurement import VelocityMeasurement
 from sonoservo.systems.tracking.needle_motion import NeedleMotionParameters, constant_velocity
+from sonoservo.systems.tracking.tip import REACH
 
 Floats = NDArray[np.float64]
 
@@ -25,18 +28,20 @@ _AVERAGED = 0.05
 
 @dataclass(frozen=True, eq=False)
 class InteractingState(Immutable):
-    """Belief of each motion model about X = (p_1 ... p_n, their velocities, repeated error).
+    """Belief of each model about the needle as it is seen, and about what is not seen of it.
 
     Parameters
     ----------
     time
         Time for which the state holds, in s.
     means, covariances
-        (3, 9n) means and (3, 9n, 9n) covariances under each model, in W: control points in m,
-        their velocities in m/s, and the repeated error of the measured points, relative to its
-        standard deviation.
+        (6, 9n + 2) means and (6, 9n + 2, 9n + 2) covariances under each model, in W: control points
+        from the entry to the end that is seen in m, their velocities in m/s, and the repeated error
+        of the measured points, relative to its standard deviation; length of needle in m from there
+        to the tip, and the speed in m/s at which it grows. Under every other model, the end that is
+        seen is the tip, and these two are 0.
     weights
-        (3,) probabilities of the models.
+        (6,) probabilities of the models.
     constant
         (3n, 3n) covariance of an error that all measurements of the points have in common, in m^2.
     seen
@@ -56,7 +61,7 @@ class InteractingState(Immutable):
     def __post_init__(self) -> None:
         size = self.means.shape[-1]
         for name, shape in (
-            ("means", (3, size)), ("covariances", (3, size, size)), ("weights", (3,)),
+            ("means", (6, size)), ("covariances", (6, size, size)), ("weights", (6,)),
             ("constant", (size // 3, size // 3)), ("axis", (3,)),
         ):  # fmt: skip
             object.__setattr__(self, name, read_only(getattr(self, name), name, shape))
@@ -65,33 +70,42 @@ class InteractingState(Immutable):
     def _size(self) -> int:
         return self.means.shape[-1] // 3
 
-    @property
-    def mean(self) -> Floats:
-        """(9n,) mean over the models."""
-        return np.asarray(self.weights @ self.means)
+    @cached_property
+    def _needle(self) -> tuple[Floats, Floats]:
+        """Mean (6n,) and covariance of the needle's control points and velocities up to its tip."""
+        size = self._size
+        mean, P = _mixed(self.weights, self.means, self.covariances)
+        beyond = _beyond(self.axis, size)
+        C = np.eye(2 * size, 3 * size + 2)
+        C[:size, -2], C[size:, -1] = beyond, beyond
+        covariance = C @ P @ C.T
+        # What is not seen goes on along the needle, whose direction is not known exactly.
+        points, k = mean[:size].reshape(-1, 3), self.axis
+        aside = np.kron([-1.0, *np.zeros(size // 3 - 2), 1.0], np.eye(3) - np.outer(k, k))
+        turns = aside @ P[:size, :size] @ aside.T / np.sum((points[-1] - points[0]) ** 2)
+        covariance[size - 3 : size, size - 3 : size] += (P[-2, -2] + mean[-2] ** 2) * turns
+        covariance[:size, :size] += self.constant
+        return C @ mean, covariance
 
     @property
     def curve(self) -> NeedleCurve:
         """Curve of the control points in W."""
-        return NeedleCurve(self.mean[: self._size].reshape(-1, 3))
+        return NeedleCurve(self._needle[0][: self._size].reshape(-1, 3))
 
     @property
     def velocity(self) -> Floats:
         """(n, 3) velocities of the control points in W, in m/s."""
-        return self.mean[self._size : 2 * self._size].reshape(-1, 3)
+        return self._needle[0][self._size :].reshape(-1, 3)
 
     @property
     def covariance(self) -> Floats:
         """(6n, 6n) covariance of the control points and their velocities over the models."""
-        size = self._size
-        _, P = _mixed(self.weights, self.means, self.covariances)
-        P[:size, :size] += self.constant
-        return np.asarray(P[: 2 * size, : 2 * size])
+        return self._needle[1]
 
     def transformed(self, X: RigidTransform) -> "InteractingState":
         """Return the state moved by a rigid transform, with its velocities rotated."""
         n = self._size // 3
-        R = np.kron(np.eye(3 * n), X.rotation().matrix())
+        R = block_diag(np.kron(np.eye(3 * n), X.rotation().matrix()), np.eye(2))
         means = self.means @ R.T
         means[:, : 3 * n] += np.tile(X.translation(), n)
         points = R[: 3 * n, : 3 * n]
@@ -119,6 +133,11 @@ class InteractingFilter:
     with little acceleration, one with much of it along the needle, and one with much of it in every
     direction. A hand rests or pushes evenly most of the time, and then the measurements of many
     volumes count. It starts and stops, and tissue that breathes carries the needle along.
+
+    Under each of them, the end that is seen is the tip or it is not: the needle's echo fades there,
+    and it goes on unseen. Such an end rests where it is seen, and what is not seen grows as the
+    hand pushes. So an end that was seen to advance is the tip. As the probe moves or the needle
+    does, its end may begin to hide, or cease to.
 
     Most of a measurement's error is due to the needle's speckle. It repeats itself as long as
     neither probe nor needle moves, and a repetition is no evidence. The repeated part is therefore
@@ -184,26 +203,27 @@ class InteractingFilter:
     def start(self, measurement: NeedleMeasurement) -> InteractingState:
         """Return the state after a first measurement, with an unknown velocity."""
         curve, R = measurement.curve, measurement.covariance
-        size = 3 * curve.order
-        u, k = np.linspace(0, 1, curve.order), curve.direction
+        size, k = 3 * curve.order, curve.direction
         points, velocities, errors = (slice(i * size, (i + 1) * size) for i in range(3))
-        P = np.zeros((3 * size, 3 * size))
+        P = np.zeros((3 * size + 2, 3 * size + 2))
         P[points, points] = measurement.total_covariance - self.constant * R
-        P[velocities, velocities] = self.first_drift_std**2 * np.eye(
-            size
-        ) + self.first_speed_std**2 * np.kron(np.outer(u, u), np.outer(k, k))
+        P[velocities, velocities] = self.first_drift_std**2 * np.eye(size)
         # The points are known by the measurement only: where its error is, they are not.
         root = np.sqrt(self.repeated) * _root(R)
         P[errors, errors] = np.eye(size)
         P[points, errors], P[errors, points] = -root, -root.T
-        mean = np.concatenate([curve.control_points.ravel(), np.zeros(2 * size)])
+        seen, hidden = P.copy(), P
+        beyond = _beyond(k, size)
+        seen[velocities, velocities] += self.first_speed_std**2 * np.outer(beyond, beyond)
+        hidden[-2, -2], hidden[-1, -1] = 2 * REACH**2, self.first_speed_std**2
+        mean = np.concatenate([curve.control_points.ravel(), np.zeros(2 * size + 2)])
         # As many as there are on average: all models are left for each other one alike.
         weights = self._times / self._times.sum()
         return InteractingState(
             measurement.time,
-            np.stack([mean] * len(weights)),
-            np.stack([P] * len(weights)),
-            weights,
+            np.stack([mean] * 6),
+            np.stack([seen, hidden] * 3),
+            np.kron(weights, [1 - measurement.unseen, measurement.unseen]),
             self._constant(measurement, R),
             measurement,
             k,
@@ -214,21 +234,26 @@ class InteractingFilter:
         dt = time - state.time
         if dt <= 0:
             return state
-        switch = transition(dt, self._times)
-        fades = self.unseen_time / max(1 - state.seen.tip_seen, 1e-9)
-        weights = state.weights @ switch
+        state = _switched(state, np.kron(transition(dt, self._times), np.eye(2)))
+        size, curve = state.means.shape[1] // 3, state.curve
+        moving = 2 * size
         means, covariances = np.empty_like(state.means), np.empty_like(state.covariances)
-        size = state.means.shape[1] // 3
-        moving, curve = 2 * size, state.curve
+        seen = self.unseen_time / max(1 - state.seen.tip_seen, 1e-9)
         for model, motion in enumerate((self.steady, self.unsteady, self.carried)):
-            came_from = state.weights * switch[:, model] / weights[model]
-            mean, P = _mixed(came_from, state.means, state.covariances)
-            A, Q = np.eye(3 * size), np.zeros((3 * size, 3 * size))
+            rests = replace(motion, insertion=0.0)
+            A, Q = np.eye(moving + size + 2), np.zeros((moving + size + 2, moving + size + 2))
             A[:moving, :moving], Q[:moving, :moving] = constant_velocity(
-                dt, motion.density(curve), fades=fades
+                dt, motion.density(curve), fades=seen
             )
-            means[model], covariances[model] = predict(mean, P, A, Q)
-        return replace(state, time=time, means=means, covariances=covariances, weights=weights)
+            n = 2 * model
+            means[n], covariances[n] = predict(state.means[n], state.covariances[n], A, Q)
+            A[:moving, :moving], Q[:moving, :moving] = constant_velocity(dt, rests.density(curve))
+            A[-2:, -2:], Q[-2:, -2:] = constant_velocity(
+                dt, np.array([[motion.insertion]]), fades=self.unseen_time
+            )
+            n += 1
+            means[n], covariances[n] = predict(state.means[n], state.covariances[n], A, Q)
+        return replace(state, time=time, means=means, covariances=covariances)
 
     def update(
         self,
@@ -246,11 +271,13 @@ class InteractingFilter:
         axis = axis / np.linalg.norm(axis)
         turned = np.kron(np.eye(size // 3), _rotation(measurement.curve.direction, axis))
         R = turned @ measurement.covariance @ turned.T
+        state = self._viewed(state, measurement)
         kept = self._correlation(state.seen, measurement)
-        fades = np.r_[np.ones(2 * size), np.full(size, kept)]
-        renewed = np.diag(np.r_[np.zeros(2 * size), np.full(size, 1 - kept**2)])
-        C = np.hstack([np.eye(size), np.zeros((size, size)), np.sqrt(self.repeated) * _root(R)])
-        # The tip may be at any of its places, so each is tried (Bar-Shalom and Tse 1975).
+        fades = np.r_[np.ones(2 * size), np.full(size, kept), 1.0, 1.0]
+        renewed = np.diag(np.r_[np.zeros(2 * size), np.full(size, 1 - kept**2), 0.0, 0.0])
+        parts = np.eye(size), np.zeros((size, size)), np.sqrt(self.repeated) * _root(R)
+        C = np.hstack([*parts, np.zeros((size, 2))])
+        # The end may be at any of its places, so each is tried (Bar-Shalom and Tse 1975).
         probabilities, z, wide = map(np.array, zip(*measurement.places, strict=True))
         noise = turned @ wide @ turned.T - (self.constant + self.repeated) * R
         mean = fades * state.means
@@ -279,14 +306,56 @@ class InteractingFilter:
             axis=axis,
         )
 
+    def _viewed(self, state: InteractingState, now: NeedleMeasurement) -> InteractingState:
+        """Return the state before a measurement: the end may have begun, or ceased, to hide.
+
+        The farther the tip has advanced and the more the view of it has changed, the more of what
+        hides it is new.
+        """
+        before, dt = state.seen, now.time - state.seen.time
+        size, k = 3 * now.curve.order, state.axis
+        velocity, beyond = state.velocity, _beyond(k, size)
+        advanced, slid = abs((velocity[-1] - velocity[0]) @ k) * dt, 0.0
+        if before.X_WP is not None and now.X_WP is not None:
+            # What fades by the angle at which sound meets it moves along with the probe.
+            X, end = now.X_WP.multiply(before.X_WP.inverse()), before.curve.tip
+            turned = X.rotation().ToAngleAxis().angle() * (end - now.X_WP.translation())
+            slid = math.hypot((X.multiply(end) - end) @ k, np.linalg.norm(turned))
+        renewed = 1 - math.exp(-(advanced + slid) / REACH)
+        hides, shows = renewed * now.unseen, renewed * (1 - now.unseen)
+        # An end that hides stops, and what hid ends where the needle does.
+        hide, show = np.eye(3 * size + 2), np.eye(3 * size + 2)
+        speed = np.r_[-k, np.zeros(size - 6), k]
+        for rows, factor in ((slice(size), dt), (slice(size, 2 * size), 1.0)):
+            hide[rows, size : 2 * size] -= factor * np.outer(beyond, speed)
+        hide[-2:, size : 2 * size] = np.outer([dt, 1.0], speed)
+        show[:size, -2], show[size : 2 * size, -1] = beyond, beyond
+        show[-2:] = 0
+        weights, means, covariances = (
+            each.copy() for each in (state.weights, state.means, state.covariances)
+        )
+        slides = np.r_[beyond, np.zeros(2 * size), -1.0, 0.0]
+        covariances[1::2] += slid**2 * np.outer(slides, slides)
+        for n in range(0, 6, 2):
+            pair = means[n : n + 2].copy(), covariances[n : n + 2].copy()
+            gone = [(T @ x, T @ P @ T.T) for T, x, P in zip((hide, show), *pair, strict=True)]
+            went = state.weights[n : n + 2] * [hides, shows]
+            stayed = state.weights[n : n + 2] - went
+            for i in range(2):
+                x, P = gone[1 - i]
+                share = np.array([stayed[i], went[1 - i]])
+                weights[n + i] = share.sum()
+                means[n + i], covariances[n + i] = _mixed(
+                    share / max(share.sum(), 1e-300),
+                    np.stack([pair[0][i], x]), np.stack([pair[1][i], P]),
+                )
+        return replace(state, weights=weights, means=means, covariances=covariances)
+
     def _constant(self, measurement: NeedleMeasurement, R: Floats) -> Floats:
         """Return the covariance of the errors that all measurements have in common."""
         k = measurement.curve.direction
-        # What is not seen goes on along the needle, whose direction is not known exactly.
-        span = np.kron([1.0, *np.zeros(measurement.curve.order - 2), -1.0], np.eye(3))
-        turns = span @ R @ span.T / measurement.curve.chord**2
         constant = self.constant * R
-        constant[-3:, -3:] += measurement.hidden_std**2 * (np.outer(k, k) + turns)
+        constant[-3:, -3:] += measurement.bevel_std**2 * np.outer(k, k)
         return constant
 
     def _correlation(self, before: NeedleMeasurement, now: NeedleMeasurement) -> float:
@@ -310,6 +379,11 @@ class InteractingFilter:
             for each in (before, now)
         ]
         return float(np.exp(-0.5 * apart @ apart) * min(stds) / max(stds))
+
+
+def _beyond(axis: Floats, size: int) -> Floats:
+    """Return the (3n,) displacements of control points for 1 m of the last along an axis."""
+    return np.kron(np.linspace(0, 1, size // 3), axis)
 
 
 def _rotation(start: Floats, end: Floats) -> Floats:
@@ -343,6 +417,15 @@ def transition(dt: float, times: Floats) -> Floats:
     cosh = 0.5 * slower * (1 + math.exp(-2 * d))
     sinh = -0.5 * slower * math.expm1(-2 * d) / d if d > 0 else slower
     return np.asarray(lasting + cosh * passing + sinh * (rates + m * passing))
+
+
+def _switched(state: InteractingState, switch: Floats) -> InteractingState:
+    """Return a state whose models go over into each other, with probabilities by row."""
+    weights = state.weights @ switch
+    came_from = (state.weights[:, np.newaxis] * switch / weights).T
+    mixed = [_mixed(each, state.means, state.covariances) for each in came_from]
+    means, covariances = map(np.array, zip(*mixed, strict=True))
+    return replace(state, means=means, covariances=covariances, weights=weights)
 
 
 def _mixed(weights: Floats, means: Floats, covariances: Floats) -> tuple[Any, Any]:
