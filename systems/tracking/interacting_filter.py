@@ -39,7 +39,7 @@ class InteractingState(Immutable):
         from the entry to the end that is seen in m, their velocities in m/s, and the repeated error
         of the measured points, relative to its standard deviation; length of needle in m from there
         to the tip, and the speed in m/s at which it grows. Under every other model, the end that is
-        seen is the tip, and these two are 0.
+        seen is the tip that advances, and these two are 0.
     weights
         (6,) probabilities of the models.
     constant
@@ -134,10 +134,9 @@ class InteractingFilter:
     direction. A hand rests or pushes evenly most of the time, and then the measurements of many
     volumes count. It starts and stops, and tissue that breathes carries the needle along.
 
-    Under each of them, the end that is seen is the tip or it is not: the needle's echo fades there,
-    and it goes on unseen. Such an end rests where it is seen, and what is not seen grows as the
-    hand pushes. So an end that was seen to advance is the tip. As the probe moves or the needle
-    does, its end may begin to hide, or cease to.
+    Under each of them, the end that is seen advances or it rests. One that advances is the tip. One
+    that rests is so because the hand rests, or because the needle's echo fades there: then it goes
+    on unseen, and what is not seen grows as the hand pushes.
 
     Most of a measurement's error is due to the needle's speckle. It repeats itself as long as
     neither probe nor needle moves, and a repetition is no evidence. The repeated part is therefore
@@ -212,18 +211,22 @@ class InteractingFilter:
         root = np.sqrt(self.repeated) * _root(R)
         P[errors, errors] = np.eye(size)
         P[points, errors], P[errors, points] = -root, -root.T
-        seen, hidden = P.copy(), P
+        advancing, resting = P.copy(), P
         beyond = _beyond(k, size)
-        seen[velocities, velocities] += self.first_speed_std**2 * np.outer(beyond, beyond)
-        hidden[-2, -2], hidden[-1, -1] = 2 * REACH**2, self.first_speed_std**2
+        advancing[velocities, velocities] += self.first_speed_std**2 * np.outer(beyond, beyond)
+        # Before anything is known, a hand that pushes is as probable as one that rests.
+        rests = 0.5 * (1 + measurement.unseen)
+        resting[[-2, -1], [-2, -1]] = (
+            measurement.unseen / rests * np.array([2 * REACH**2, self.first_speed_std**2])
+        )
         mean = np.concatenate([curve.control_points.ravel(), np.zeros(2 * size + 2)])
         # As many as there are on average: all models are left for each other one alike.
         weights = self._times / self._times.sum()
         return InteractingState(
             measurement.time,
             np.stack([mean] * 6),
-            np.stack([seen, hidden] * 3),
-            np.kron(weights, [1 - measurement.unseen, measurement.unseen]),
+            np.stack([advancing, resting] * 3),
+            np.kron(weights, [1 - rests, rests]),
             self._constant(measurement, R),
             measurement,
             k,
@@ -271,7 +274,7 @@ class InteractingFilter:
         axis = axis / np.linalg.norm(axis)
         turned = np.kron(np.eye(size // 3), _rotation(measurement.curve.direction, axis))
         R = turned @ measurement.covariance @ turned.T
-        state = self._viewed(state, measurement)
+        state = self._switched(state, measurement)
         kept = self._correlation(state.seen, measurement)
         fades = np.r_[np.ones(2 * size), np.full(size, kept), 1.0, 1.0]
         renewed = np.diag(np.r_[np.zeros(2 * size), np.full(size, 1 - kept**2), 0.0, 0.0])
@@ -306,8 +309,8 @@ class InteractingFilter:
             axis=axis,
         )
 
-    def _viewed(self, state: InteractingState, now: NeedleMeasurement) -> InteractingState:
-        """Return the state before a measurement: the end may have begun, or ceased, to hide.
+    def _switched(self, state: InteractingState, now: NeedleMeasurement) -> InteractingState:
+        """Return the state before a measurement: the end may have come to rest, or advance again.
 
         The farther the tip has advanced and the more the view of it has changed, the more of what
         hides it is new.
@@ -323,32 +326,40 @@ class InteractingFilter:
             slid = math.hypot((X.multiply(end) - end) @ k, np.linalg.norm(turned))
         renewed = 1 - math.exp(-(advanced + slid) / REACH)
         hides, shows = renewed * now.unseen, renewed * (1 - now.unseen)
-        # An end that hides stops, and what hid ends where the needle does.
-        hide, show = np.eye(3 * size + 2), np.eye(3 * size + 2)
+        changes = 1 - math.exp(-dt / self.steady_time)
+        # An end that hides stops while the needle advances. One that stops or starts is the tip,
+        # and what hid shows itself where the needle ends.
+        hide, show, start = (np.eye(3 * size + 2) for _ in range(3))
         speed = np.r_[-k, np.zeros(size - 6), k]
-        for rows, factor in ((slice(size), dt), (slice(size, 2 * size), 1.0)):
-            hide[rows, size : 2 * size] -= factor * np.outer(beyond, speed)
+        hide[:size, size : 2 * size] -= dt * np.outer(beyond, speed)
+        hide[size : 2 * size, size : 2 * size] -= np.outer(beyond, speed)
+        stop = hide.copy()
         hide[-2:, size : 2 * size] = np.outer([dt, 1.0], speed)
         show[:size, -2], show[size : 2 * size, -1] = beyond, beyond
-        show[-2:] = 0
+        show[-2:] = start[-2:] = 0
+        slides, starts = (np.zeros(3 * size + 2) for _ in range(2))
+        slides[:size], slides[-2] = beyond, -1
+        starts[size : 2 * size] = self.first_speed_std * beyond
+        same = np.eye(3 * size + 2)
+        drift, started = slid**2 * np.outer(slides, slides), np.outer(starts, starts)
+        ways = (
+            ((0, (1 - hides) * (1 - changes), same, 0.0), (1, shows, show, 0.0),
+             (1, (1 - shows) * changes, start, started)),
+            ((1, (1 - shows) * (1 - changes), same, drift), (0, hides, hide, 0.0),
+             (0, (1 - hides) * changes, stop, 0.0)),
+        )  # fmt: skip
         weights, means, covariances = (
-            each.copy() for each in (state.weights, state.means, state.covariances)
+            np.empty_like(each) for each in (state.weights, state.means, state.covariances)
         )
-        slides = np.r_[beyond, np.zeros(2 * size), -1.0, 0.0]
-        covariances[1::2] += slid**2 * np.outer(slides, slides)
-        for n in range(0, 6, 2):
-            pair = means[n : n + 2].copy(), covariances[n : n + 2].copy()
-            gone = [(T @ x, T @ P @ T.T) for T, x, P in zip((hide, show), *pair, strict=True)]
-            went = state.weights[n : n + 2] * [hides, shows]
-            stayed = state.weights[n : n + 2] - went
-            for i in range(2):
-                x, P = gone[1 - i]
-                share = np.array([stayed[i], went[1 - i]])
-                weights[n + i] = share.sum()
-                means[n + i], covariances[n + i] = _mixed(
-                    share / max(share.sum(), 1e-300),
-                    np.stack([pair[0][i], x]), np.stack([pair[1][i], P]),
-                )
+        for n in range(6):
+            first = n - n % 2
+            came, x, P = [], [], []
+            for i, probability, T, more in ways[n % 2]:
+                came.append(state.weights[first + i] * probability)
+                x.append(T @ state.means[first + i])
+                P.append(T @ state.covariances[first + i] @ T.T + more)
+            weights[n] = sum(came)
+            means[n], covariances[n] = _mixed(np.array(came) / weights[n], np.array(x), np.array(P))
         return replace(state, weights=weights, means=means, covariances=covariances)
 
     def _constant(self, measurement: NeedleMeasurement, R: Floats) -> Floats:
