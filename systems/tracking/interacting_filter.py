@@ -6,11 +6,11 @@ from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
-from filterpy.kalman import predict
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
+from scipy.special import ndtr
 
 from sonoservo.systems.signals.immutable import Immutable, read_only
 from sonoservo.systems.signals.needle_curve import NeedleCurve
@@ -35,13 +35,13 @@ class InteractingState(Immutable):
     time
         Time for which the state holds, in s.
     means, covariances
-        (6, 9n + 2) means and (6, 9n + 2, 9n + 2) covariances under each model, in W: control points
-        from the entry to the end that is seen in m, their velocities in m/s, and the repeated error
-        of the measured points, relative to its standard deviation; length of needle in m from there
-        to the tip, and the speed in m/s at which it grows. Under every other model, the end that is
-        seen is the tip that advances, and these two are 0.
+        (9, 9n + 2) means and (9, 9n + 2, 9n + 2) covariances under each motion of the needle and of
+        its end, in W: control points from the entry to the end that is seen in m, their velocities
+        in m/s, and the repeated error of the measured points, relative to its standard deviation;
+        length of needle in m from there to the tip, and the speed in m/s at which it grows. These
+        two are 0 unless the end hides.
     weights
-        (6,) probabilities of the models.
+        (9,) probabilities of the models.
     constant
         (3n, 3n) covariance of an error that all measurements of the points have in common, in m^2.
     seen
@@ -61,7 +61,7 @@ class InteractingState(Immutable):
     def __post_init__(self) -> None:
         size = self.means.shape[-1]
         for name, shape in (
-            ("means", (6, size)), ("covariances", (6, size, size)), ("weights", (6,)),
+            ("means", (9, size)), ("covariances", (9, size, size)), ("weights", (9,)),
             ("constant", (size // 3, size // 3)), ("axis", (3,)),
         ):  # fmt: skip
             object.__setattr__(self, name, read_only(getattr(self, name), name, shape))
@@ -134,9 +134,9 @@ class InteractingFilter:
     direction. A hand rests or pushes evenly most of the time, and then the measurements of many
     volumes count. It starts and stops, and tissue that breathes carries the needle along.
 
-    Under each of them, the end that is seen advances or it rests. One that advances is the tip. One
-    that rests is so because the hand rests, or because the needle's echo fades there: then it goes
-    on unseen, and what is not seen grows as the hand pushes.
+    Under each of them, the end that is seen advances, rests or hides. One that advances is the tip.
+    One that rests is so because the hand rests, or because the needle's echo fades there: then it
+    goes on unseen, and what is not seen grows as the hand pushes.
 
     Most of a measurement's error is due to the needle's speckle. It repeats itself as long as
     neither probe nor needle moves, and a repetition is no evidence. The repeated part is therefore
@@ -211,22 +211,19 @@ class InteractingFilter:
         root = np.sqrt(self.repeated) * _root(R)
         P[errors, errors] = np.eye(size)
         P[points, errors], P[errors, points] = -root, -root.T
-        advancing, resting = P.copy(), P
+        advancing, hidden = P.copy(), P.copy()
         beyond = _beyond(k, size)
         advancing[velocities, velocities] += self.first_speed_std**2 * np.outer(beyond, beyond)
-        # Before anything is known, a hand that pushes is as probable as one that rests.
-        rests = 0.5 * (1 + measurement.unseen)
-        resting[[-2, -1], [-2, -1]] = (
-            measurement.unseen / rests * np.array([2 * REACH**2, self.first_speed_std**2])
-        )
+        hidden[-2, -2], hidden[-1, -1] = 2 * REACH**2, self.first_speed_std**2
         mean = np.concatenate([curve.control_points.ravel(), np.zeros(2 * size + 2)])
         # As many as there are on average: all models are left for each other one alike.
-        weights = self._times / self._times.sum()
+        weights, unseen = self._times / self._times.sum(), measurement.unseen
         return InteractingState(
             measurement.time,
-            np.stack([mean] * 6),
-            np.stack([advancing, resting] * 3),
-            np.kron(weights, [1 - rests, rests]),
+            np.stack([mean] * 9),
+            np.stack([advancing, P, hidden] * 3),
+            # Before anything is known, a hand that pushes is as probable as one that rests.
+            np.kron(weights, [0.5 * (1 - unseen), 0.5 * (1 - unseen), unseen]),
             self._constant(measurement, R),
             measurement,
             k,
@@ -237,26 +234,32 @@ class InteractingFilter:
         dt = time - state.time
         if dt <= 0:
             return state
-        state = _switched(state, np.kron(transition(dt, self._times), np.eye(2)))
+        switch = np.kron(transition(dt, self._times), np.eye(3))
+        weights = state.weights @ switch
+        came_from = (state.weights[:, np.newaxis] * switch / np.maximum(weights, 1e-300)).T
+        mixed = [_mixed(each, state.means, state.covariances) for each in came_from]
         size, curve = state.means.shape[1] // 3, state.curve
-        moving = 2 * size
-        means, covariances = np.empty_like(state.means), np.empty_like(state.covariances)
-        seen = self.unseen_time / max(1 - state.seen.tip_seen, 1e-9)
+        moving, count = slice(2 * size), len(mixed)
+        A = np.stack([np.eye(3 * size + 2)] * count)
+        Q = np.zeros_like(A)
         for model, motion in enumerate((self.steady, self.unsteady, self.carried)):
-            rests = replace(motion, insertion=0.0)
-            A, Q = np.eye(moving + size + 2), np.zeros((moving + size + 2, moving + size + 2))
-            A[:moving, :moving], Q[:moving, :moving] = constant_velocity(
-                dt, motion.density(curve), fades=seen
+            n, rests = 3 * model, replace(motion, insertion=0.0)
+            A[n, moving, moving], Q[n, moving, moving] = constant_velocity(
+                dt, motion.density(curve)
             )
-            n = 2 * model
-            means[n], covariances[n] = predict(state.means[n], state.covariances[n], A, Q)
-            A[:moving, :moving], Q[:moving, :moving] = constant_velocity(dt, rests.density(curve))
-            A[-2:, -2:], Q[-2:, -2:] = constant_velocity(
+            A[n + 1 : n + 3, moving, moving], Q[n + 1 : n + 3, moving, moving] = constant_velocity(
+                dt, rests.density(curve)
+            )
+            A[n + 2, -2:, -2:], Q[n + 2, -2:, -2:] = constant_velocity(
                 dt, np.array([[motion.insertion]]), fades=self.unseen_time
             )
-            n += 1
-            means[n], covariances[n] = predict(state.means[n], state.covariances[n], A, Q)
-        return replace(state, time=time, means=means, covariances=covariances)
+        x, P = map(np.array, zip(*mixed, strict=True))
+        means = (A @ x[..., np.newaxis])[..., 0]
+        covariances = A @ P @ A.swapaxes(1, 2) + Q
+        weights = weights * _beyond_end(means, covariances) / _beyond_end(x, P)
+        return replace(
+            state, time=time, means=means, covariances=covariances, weights=weights / weights.sum()
+        )
 
     def update(
         self,
@@ -298,7 +301,8 @@ class InteractingFilter:
         shares = weights / weights.sum(axis=1, keepdims=True)
         mixed = [_mixed(*each) for each in zip(shares, found, spreads, strict=True)]
         means, covariances = map(np.array, zip(*mixed, strict=True))
-        weights *= state.weights[:, np.newaxis] / (state.weights @ weights).sum()
+        prior = state.weights * _beyond_end(means, covariances) / _beyond_end(mean, P)
+        weights *= prior[:, np.newaxis] / (prior @ weights).sum()
         return replace(
             state,
             means=means,
@@ -310,7 +314,7 @@ class InteractingFilter:
         )
 
     def _switched(self, state: InteractingState, now: NeedleMeasurement) -> InteractingState:
-        """Return the state before a measurement: the end may have come to rest, or advance again.
+        """Return the state before a measurement: its end may rest now, hide, or advance.
 
         The farther the tip has advanced and the more the view of it has changed, the more of what
         hides it is new.
@@ -329,37 +333,39 @@ class InteractingFilter:
         changes = 1 - math.exp(-dt / self.steady_time)
         # An end that hides stops while the needle advances. One that stops or starts is the tip,
         # and what hid shows itself where the needle ends.
-        hide, show, start = (np.eye(3 * size + 2) for _ in range(3))
+        same, hide, show = (np.eye(3 * size + 2) for _ in range(3))
         speed = np.r_[-k, np.zeros(size - 6), k]
         hide[:size, size : 2 * size] -= dt * np.outer(beyond, speed)
         hide[size : 2 * size, size : 2 * size] -= np.outer(beyond, speed)
         stop = hide.copy()
         hide[-2:, size : 2 * size] = np.outer([dt, 1.0], speed)
         show[:size, -2], show[size : 2 * size, -1] = beyond, beyond
-        show[-2:] = start[-2:] = 0
+        show[-2:] = 0
         slides, starts = (np.zeros(3 * size + 2) for _ in range(2))
-        slides[:size], slides[-2] = beyond, -1
+        slides[:size], slides[-2] = slid * beyond, -slid
         starts[size : 2 * size] = self.first_speed_std * beyond
-        same = np.eye(3 * size + 2)
-        drift, started = slid**2 * np.outer(slides, slides), np.outer(starts, starts)
+        advancing, resting, hidden = range(3)
+        stays, changed = (1 - hides) * (1 - changes), (1 - hides) * changes
         ways = (
-            ((0, (1 - hides) * (1 - changes), same, 0.0), (1, shows, show, 0.0),
-             (1, (1 - shows) * changes, start, started)),
-            ((1, (1 - shows) * (1 - changes), same, drift), (0, hides, hide, 0.0),
-             (0, (1 - hides) * changes, stop, 0.0)),
-        )  # fmt: skip
+            ((advancing, stays, same), (resting, changed, same), (hidden, shows, show)),
+            ((advancing, changed, stop), (resting, stays, same)),
+            ((advancing, hides, hide), (resting, hides, same), (hidden, 1 - shows, same)),
+        )
+        drift = {(advancing, resting): starts, (hidden, hidden): slides, (hidden, resting): slides}
         weights, means, covariances = (
             np.empty_like(each) for each in (state.weights, state.means, state.covariances)
         )
-        for n in range(6):
-            first = n - n % 2
+        for n in range(len(weights)):
             came, x, P = [], [], []
-            for i, probability, T, more in ways[n % 2]:
-                came.append(state.weights[first + i] * probability)
-                x.append(T @ state.means[first + i])
-                P.append(T @ state.covariances[first + i] @ T.T + more)
+            for i, probability, T in ways[n % 3]:
+                m, more = n - n % 3 + i, drift.get((n % 3, i), np.zeros(3 * size + 2))
+                came.append(state.weights[m] * probability)
+                x.append(T @ state.means[m])
+                P.append(T @ state.covariances[m] @ T.T + np.outer(more, more))
             weights[n] = sum(came)
-            means[n], covariances[n] = _mixed(np.array(came) / weights[n], np.array(x), np.array(P))
+            means[n], covariances[n] = _mixed(
+                np.array(came) / max(weights[n], 1e-300), np.array(x), np.array(P)
+            )
         return replace(state, weights=weights, means=means, covariances=covariances)
 
     def _constant(self, measurement: NeedleMeasurement, R: Floats) -> Floats:
@@ -397,6 +403,11 @@ def _beyond(axis: Floats, size: int) -> Floats:
     return np.kron(np.linspace(0, 1, size // 3), axis)
 
 
+def _beyond_end(means: Floats, covariances: Floats) -> Floats:
+    """Return (9,) probabilities that no tip lies before the end that is seen."""
+    return ndtr(means[:, -2] / np.sqrt(np.maximum(covariances[:, -2, -2], 1e-12)))
+
+
 def _rotation(start: Floats, end: Floats) -> Floats:
     """Return the (3, 3) smallest rotation that turns one unit vector into another."""
     turn = np.cross(start, end)
@@ -428,15 +439,6 @@ def transition(dt: float, times: Floats) -> Floats:
     cosh = 0.5 * slower * (1 + math.exp(-2 * d))
     sinh = -0.5 * slower * math.expm1(-2 * d) / d if d > 0 else slower
     return np.asarray(lasting + cosh * passing + sinh * (rates + m * passing))
-
-
-def _switched(state: InteractingState, switch: Floats) -> InteractingState:
-    """Return a state whose models go over into each other, with probabilities by row."""
-    weights = state.weights @ switch
-    came_from = (state.weights[:, np.newaxis] * switch / weights).T
-    mixed = [_mixed(each, state.means, state.covariances) for each in came_from]
-    means, covariances = map(np.array, zip(*mixed, strict=True))
-    return replace(state, means=means, covariances=covariances, weights=weights)
 
 
 def _mixed(weights: Floats, means: Floats, covariances: Floats) -> tuple[Any, Any]:
