@@ -76,7 +76,7 @@ def describe_scenarios() -> dict[str, str]:
 
 
 def load_scenario(
-    scenario: "Scenario | str | Path",
+    scenario: "Scenario | str | Path | Mapping[str, Any]",
     *,
     changes: Mapping[str, Any] | Sequence[str] | None = None,
     seed: int | None = None,
@@ -87,7 +87,7 @@ def load_scenario(
     Parameters
     ----------
     scenario
-        Name of a built-in scenario, path of a YAML file, or a scenario to change.
+        Name of a built-in scenario, path of a YAML file, its data, or a scenario to change.
     changes
         Fields to change: values by dotted path, ``{"imaging.gain": 0.5}``, or assignments
         ``"path.to.field=value"`` with the value in YAML.
@@ -112,7 +112,9 @@ def load_scenario(
     if isinstance(scenario, Scenario):
         if changes is None and seed is None:
             return scenario
-        return _load(yaml.safe_load(scenario.to_yaml()), scenario.name, changes, seed)
+        scenario = yaml.safe_load(scenario.to_yaml())
+    if isinstance(scenario, Mapping):
+        return _load(dict(scenario), str(scenario.get("name")), changes, seed)
     if not isinstance(scenario, str | Path):
         raise ConfigurationError(
             f"scenario: a value of type {type(scenario).__name__}; expected the name of a built-in "

@@ -23,13 +23,13 @@ from pydrake.systems.framework import (
 )
 from scipy.linalg.lapack import dgesv
 
+from sonoservo.systems.signals.leaves import declare_memory
 from sonoservo.systems.signals.requirements import (
     NotNegative,
     check_bounds,
     require,
     require_positive,
 )
-from sonoservo.systems.signals.scratch_context import declare_scratch_context, scratch_context
 
 
 @dataclass(kw_only=True)
@@ -146,7 +146,7 @@ class DifferentialKinematics(LeafSystem):
         self._approach_velocity = self.DeclareVectorInputPort("approach_velocity", 1)
         self._joint_state = self.DeclareVectorInputPort("joint_state", 2 * n)
         self._sent = self.DeclareVectorInputPort("sent_command", 2 * n)
-        self._scratch = declare_scratch_context(self, plant)
+        self._scratch = declare_memory(self, plant.CreateDefaultContext)
         # Joint positions and velocities, and the time at which they hold.
         self.DeclareDiscreteState(2 * n + 1)
         self.DeclareVectorOutputPort(
@@ -181,7 +181,7 @@ class DifferentialKinematics(LeafSystem):
         else:
             q, v = self._joint_command(context)
         plant, frame = self._plant, self._probe
-        plant_context = scratch_context(self._scratch, context)
+        plant_context = self._scratch(context)
         plant.SetPositions(plant_context, q)
         R_WP = frame.CalcPoseInWorld(plant_context).GetAsMatrix34()[:, :3]
         x, _, z = (R_WP.T @ self._axis).tolist()

@@ -33,9 +33,9 @@ from sonoservo.systems.control.guard_sight import (
     region,
 )
 from sonoservo.systems.signals.guard_status import GuardState, GuardStatus
+from sonoservo.systems.signals.leaves import declare_memory
 from sonoservo.systems.signals.ports import declare_output
 from sonoservo.systems.signals.requirements import require_positive
-from sonoservo.systems.signals.scratch_context import declare_scratch_context, scratch_context
 
 _TOLERANCE = 1e-9  # Rounding error of joint positions and speeds, in rad and rad/s
 # Difference of postures in rad between which the levers of the torques differ by less than 2 %.
@@ -136,7 +136,7 @@ class Guard(LeafSystem):
         self._joint_state = self.DeclareVectorInputPort("joint_state", 2 * n)
         self._torque = self.DeclareVectorInputPort("external_torque", n)
         self._confirmation = self.DeclareVectorInputPort("confirmation", 1)
-        self._scratch = declare_scratch_context(self, plant)
+        self._scratch = declare_memory(self, plant.CreateDefaultContext)
         # The command sent at the last check, its time, and the mode since then.
         self._command = self.DeclareDiscreteState(2 * n + 2)
         self._memory = self.DeclareDiscreteState(np.array(EMPTY.pack()))
@@ -279,7 +279,7 @@ class Guard(LeafSystem):
         return self._levers
 
     def _jacobian(self, context: Context, q: NDArray[np.float64]) -> NDArray[np.float64]:
-        plant, frame, scratch = self._plant, self._frame, scratch_context(self._scratch, context)
+        plant, frame, scratch = self._plant, self._frame, self._scratch(context)
         plant.SetPositions(scratch, q)
         J = plant.CalcJacobianSpatialVelocity(
             scratch, JacobianWrtVariable.kV, frame, np.zeros(3), plant.world_frame(), frame
@@ -308,7 +308,7 @@ class Guard(LeafSystem):
 
     def _pose(self, context: Context, q: NDArray[np.float64]) -> tuple[Vector, Vector, Vector]:
         """Return the position and the axis of the probe in W, and the direction down in P."""
-        plant_context = scratch_context(self._scratch, context)
+        plant_context = self._scratch(context)
         self._plant.SetPositions(plant_context, q)
         x, y, z = self._frame.CalcPoseInWorld(plant_context).GetAsMatrix34().tolist()
         return (x[3], y[3], z[3]), (x[1], y[1], z[1]), (-z[0], -z[1], -z[2])

@@ -14,14 +14,13 @@ from sonoservo.systems.evaluation.log import Array, Column, LogRows, Row, column
 from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.signals.guard_status import GuardStatus
 from sonoservo.systems.signals.immutable import NotFound
-from sonoservo.systems.signals.motion_record import MotionRecord
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
 from sonoservo.systems.signals.ports import Types, declare_inputs, evaluate_port
 from sonoservo.systems.signals.requirements import require_not_negative, require_positive
-from sonoservo.systems.signals.sweep import SweepGeometry
-from sonoservo.systems.signals.volume_check import VolumeCheck
+from sonoservo.systems.signals.sweep import MotionRecord, SweepGeometry
+from sonoservo.systems.signals.volume import VolumeCheck
 
 T = TypeVar("T")
 

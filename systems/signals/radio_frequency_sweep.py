@@ -13,19 +13,14 @@ from sonoservo.systems.signals.sweep import SweepMotion
 
 @dataclass(frozen=True, eq=False)
 class RadioFrequencySweep(Immutable):
-    """Radio-frequency echoes of one sweep, before envelope detection.
-
-    Parameters
-    ----------
-    lines
-        (frames, lines, samples) float32 echoes. Their values are not checked, which would take as
-        long as all further processing.
-    motion
-        Time and pose at which each frame was acquired.
-    """
+    """Radio-frequency echoes of one sweep, before envelope detection."""
 
     lines: NDArray[np.float32]
+    """(frames, lines, samples) echoes. Their values are not checked, which would take as long as
+    all further processing."""
+
     motion: SweepMotion
+    """Time and pose at which each frame was acquired."""
 
     def __post_init__(self) -> None:
         lines = own(np.asarray(self.lines, dtype=np.float32))

@@ -8,7 +8,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields
 from functools import cache
 from numbers import Real
-from typing import Annotated, Any, TypeAlias, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, TypeAlias, TypeVar, cast, get_args, get_origin, get_type_hints
+
+T = TypeVar("T")
 
 MAX_TIME = 1e6
 """Longest time that a scenario may ask for, in s: eleven days."""
@@ -101,6 +103,9 @@ def count_of(count: int, what: str = "numbers") -> Bound:
 Positive: TypeAlias = Annotated[float, above(0)]
 """Number above 0."""
 
+Finite: TypeAlias = Annotated[float, Bound("finite", _is_finite)]
+"""Number that is finite."""
+
 NotNegative: TypeAlias = Annotated[float, at_least(0)]
 """Number of at least 0."""
 
@@ -135,7 +140,7 @@ def check_bounds(value: Any) -> None:
     A field that may be None is not checked while it is; of a list, each element is.
     """
     schema: Any = type(value)
-    for name, bound, of_elements, optional in _bounds(schema):
+    for name, bound, of_elements, optional in annotations_of(schema, Bound):
         held = getattr(value, name)
         if held is None and optional:
             continue
@@ -148,7 +153,8 @@ def check_bounds(value: Any) -> None:
 
 def bounded_fields(schema: type) -> list[str]:
     """Return the names of a dataclass's fields that have a bound themselves."""
-    return list({name: None for name, _, of_elements, _ in _bounds(schema) if not of_elements})
+    found = annotations_of(schema, Bound)
+    return list({name: None for name, _, of_elements, _ in found if not of_elements})
 
 
 class Bounded:
@@ -164,13 +170,17 @@ class Bounded:
 
 
 @cache
-def _bounds(schema: type) -> list[tuple[str, Bound, bool, bool]]:
-    """Return field, bound, if it is that of a list's elements, and if the field may be None."""
+def annotations_of(schema: type, kind: type[T]) -> list[tuple[str, T, bool, bool]]:
+    """Return the annotations of one kind in the types of a dataclass's fields.
+
+    Each has the field's name, whether it belongs to a list's elements, and whether the field may be
+    None.
+    """
     hints = get_type_hints(schema, include_extras=True)
     return [
-        (each.name, *bound, _may_be_none(hints[each.name]))
-        for each in fields(schema)
-        for bound in _found(hints[each.name])
+        (each.name, *found, _may_be_none(hints[each.name]))
+        for each in fields(cast(Any, schema))
+        for found in _found(hints[each.name], kind)
     ]
 
 
@@ -178,9 +188,9 @@ def _may_be_none(hint: Any) -> bool:
     return type(None) in get_args(hint.__origin__ if get_origin(hint) is Annotated else hint)
 
 
-def _found(hint: Any, of_elements: bool = False) -> list[tuple[Bound, bool]]:
+def _found(hint: Any, kind: type[T], of_elements: bool = False) -> list[tuple[T, bool]]:
     if get_origin(hint) is Annotated:
-        own = [(each, of_elements) for each in hint.__metadata__ if isinstance(each, Bound)]
-        return own + _found(hint.__origin__, of_elements)
+        own = [(each, of_elements) for each in hint.__metadata__ if isinstance(each, kind)]
+        return own + _found(hint.__origin__, kind, of_elements)
     inner = of_elements or get_origin(hint) is list
-    return [bound for each in get_args(hint) for bound in _found(each, inner)]
+    return [found for each in get_args(hint) for found in _found(each, kind, inner)]

@@ -13,22 +13,19 @@ from typing import Self
 
 @dataclass(frozen=True)
 class _Search:
-    """What is said about a kind of reason.
-
-    Parameters
-    ----------
-    begins
-        Beginning of the sentences of this kind, which may go on with figures.
-    words
-        The same in a few words.
-    run, track
-        What to change in a scenario, and with volumes of one's own; may be empty.
-    """
+    """What is said about a kind of reason."""
 
     begins: str
+    """Beginning of the sentences of this kind, which may go on with figures."""
+
     words: str
+    """The same in a few words."""
+
     run: str
+    """What to change in a scenario; may be empty."""
+
     track: str
+    """What to change with volumes of one's own; may be empty."""
 
 
 _FAINT = (
@@ -163,15 +160,7 @@ class SearchReason(Enum):
 
 
 class Reason(str):
-    """A reason as a sentence, which knows its kind.
-
-    Parameters
-    ----------
-    kind
-        Its kind.
-    text
-        The sentence, with figures.
-    """
+    """A reason as a sentence with figures, which knows its kind."""
 
     kind: SearchReason
 
@@ -183,13 +172,7 @@ class Reason(str):
 
 
 class ReasonCount:
-    """Counts how often each kind of reason was given.
-
-    Parameters
-    ----------
-    reasons
-        First reasons; see `add`.
-    """
+    """Counts how often each kind of reason was given."""
 
     def __init__(self, reasons: Iterable[str] = ()) -> None:
         self._counts: Counter[SearchReason | str] = Counter()

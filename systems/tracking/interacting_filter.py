@@ -1,9 +1,9 @@
-"""Interacting Kalman filters on the needle: steady, unsteady, carried along, or going on unseen."""
+"""Interacting Kalman filters on a needle that moves in three ways, and its end in three."""
 
 import math
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,7 @@ from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 from scipy.special import ndtr
 
-from sonoservo.systems.signals.immutable import Immutable, read_only
+from sonoservo.systems.signals.immutable import Immutable, Shape, Vector3
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
 from sonoservo.systems.signals.requirements import Positive, check_bounds, require
@@ -28,43 +28,35 @@ _AVERAGED = 0.05
 
 @dataclass(frozen=True, eq=False)
 class InteractingState(Immutable):
-    """Belief of each model about the needle as it is seen, and about what is not seen of it.
+    """Belief about the needle as it is seen, and about what is not seen of it.
 
-    Parameters
-    ----------
-    time
-        Time for which the state holds, in s.
-    means, covariances
-        (9, 9n + 2) means and (9, 9n + 2, 9n + 2) covariances under each motion of the needle and of
-        its end, in W: control points from the entry to the end that is seen in m, their velocities
-        in m/s, and the repeated error of the measured points, relative to its standard deviation;
-        length of needle in m from there to the tip, and the speed in m/s at which it grows. These
-        two are 0 unless the end hides.
-    weights
-        (9,) probabilities of the models.
-    constant
-        (3n, 3n) covariance of an error that all measurements of the points have in common, in m^2.
-    seen
-        Last measurement.
-    axis
-        (3,) direction of the needle, averaged over seconds.
+    There is a row for each of three motions of the needle as a whole and three of its end. With n
+    control points, d = 9n + 2.
     """
 
     time: float
-    means: Floats
-    covariances: Floats
-    weights: Floats
-    constant: Floats
-    seen: NeedleMeasurement
-    axis: Floats
+    """Time for which the state holds, in s."""
 
-    def __post_init__(self) -> None:
-        size = self.means.shape[-1]
-        for name, shape in (
-            ("means", (9, size)), ("covariances", (9, size, size)), ("weights", (9,)),
-            ("constant", (size // 3, size // 3)), ("axis", (3,)),
-        ):  # fmt: skip
-            object.__setattr__(self, name, read_only(getattr(self, name), name, shape))
+    means: Annotated[Floats, Shape(9, "d")]
+    """In W: control points from the entry to the end that is seen in m, their velocities in m/s,
+    and the repeated error of the measured points, relative to its standard deviation; length of
+    needle in m from there to the tip, and the speed in m/s at which it grows. These last two are 0
+    unless the end hides."""
+
+    covariances: Annotated[Floats, Shape(9, "d", "d")]
+    """Covariances of the same."""
+
+    weights: Annotated[Floats, Shape(9)]
+    """Probabilities of the motions."""
+
+    constant: Annotated[Floats, Shape("3n", "3n")]
+    """Covariance of an error that all measurements of the points have in common, in m^2."""
+
+    seen: NeedleMeasurement
+    """Last measurement."""
+
+    axis: Vector3
+    """Direction of the needle, averaged over seconds."""
 
     @property
     def _size(self) -> int:

@@ -2,7 +2,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import yaml
 from pydrake.common.value import Value
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import LeafSystem
@@ -19,7 +18,6 @@ from sonoservo.diagrams.trackers import (
 )
 from sonoservo.diagrams.trackers.registry import TRACKERS
 from sonoservo.systems.files.refusals import ConfigurationError
-from sonoservo.systems.files.typed_yaml import dump_typed, load_typed
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle_estimate import TrackingMode
 from sonoservo.systems.tracking.axis_tip_filter import AxisTipFilter
@@ -143,17 +141,6 @@ def test_bent_needles_have_three_control_points(volumes):
     assert np.linalg.norm(found[-1].curve.tip - needle(found[-1].time)[1]) < 3e-3
 
 
-def test_parameters_survive_yaml():
-    data = yaml.safe_load(dump_typed(Chatelain2013TrackerParameters(order=3)))
-    assert load_typed(Chatelain2013TrackerParameters, data, "a file").order == 3
-
-
-@pytest.mark.parametrize(("field", "value"), [("kind", "x"), ("order", 5), ("start", "soon")])
-def test_parameters_are_checked(field, value):
-    with pytest.raises(ValueError, match=field):
-        Chatelain2013TrackerParameters(**{field: value})
-
-
 @pytest.fixture(scope="module")
 def zhao(volumes):
     return list(track(volumes, parameters=Zhao2012TrackerParameters()))
@@ -242,12 +229,6 @@ def test_a_tracker_may_take_another_s_filter(volumes):
     assert np.linalg.norm(found[-1].curve.tip - needle(found[-1].time)[1]) < 3e-3
     with pytest.raises(ValueError, match="order: 3"):
         Chatelain2013TrackerParameters(order=3, filter=AxisTipFilter())
-
-
-@pytest.mark.parametrize(("field", "value"), [("kind", "x"), ("start", "soon"), ("order", 3)])
-def test_zhao_s_parameters_are_checked(field, value):
-    with pytest.raises(ValueError, match=field):
-        Zhao2012TrackerParameters(**{field: value})
 
 
 def test_an_estimate_is_there_before_the_next_volume_is_made():

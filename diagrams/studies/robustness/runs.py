@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from sonoservo.diagrams.experiments.following import FollowingExperiment
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
 from sonoservo.diagrams.experiments.following_scene import make_scene, observer_events
-from sonoservo.diagrams.studies.robustness.graded_dials import scenario_of
 from sonoservo.diagrams.studies.robustness.planned_motion import make_bench, run_open_loop
 from sonoservo.diagrams.studies.robustness.search_path import SearchPath
+from sonoservo.diagrams.studies.robustness.turned_dials import scenario_of
 from sonoservo.diagrams.studies.study import Case
 from sonoservo.diagrams.tracker_bench import log_of
 from sonoservo.systems.evaluation.metrics import MetricsParameters, detection

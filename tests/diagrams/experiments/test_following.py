@@ -8,7 +8,7 @@ from page_clients.console_socket import open_console
 from pydrake.common.value import Value
 from pydrake.systems.framework import LeafSystem
 
-from sonoservo.diagrams import load_scenario, make_experiment, run, tracker_events
+from sonoservo.diagrams import load_scenario, run, tracker_events
 from sonoservo.systems.display.console.console import Console
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.signals.needle_curve import NeedleCurve
@@ -118,12 +118,3 @@ def test_a_page_that_never_answers_changes_nothing():
         shown = run(scenario, console=console).log
     np.testing.assert_array_equal(shown.X_WP, alone.X_WP)
     np.testing.assert_array_equal(shown.volume_time, alone.volume_time)
-
-
-def test_rendering_is_timed_by_its_work_wherever_it_is_done():
-    scenario = load_scenario("chatelain2013_fig5", changes=["duration=1.5"])
-    experiment = make_experiment(scenario)
-    experiment.run()
-    times = experiment.compute["render"]
-    assert len(times) == 4
-    assert 0 < sum(times) <= experiment.scanner.work_s

@@ -147,10 +147,7 @@ def test_two_contexts_of_one_system_do_not_disturb_each_other():
     np.testing.assert_array_equal(first.command(), alone.command())
     contexts = [first.simulator.get_context(), second.get_context()]
     contexts.append(contexts[0].Clone())
-    scratch = [
-        first.leaf._scratch.get_mutable_cache_entry_value(each).GetMutableValueOrThrow()
-        for each in contexts
-    ]
+    scratch = [first.leaf._scratch(each) for each in contexts]
     assert len({id(each) for each in scratch}) == 3
 
 

@@ -12,13 +12,12 @@ from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.evaluation.run_logger import RunLogger, visible_length
 from sonoservo.systems.signals.guard_status import GuardState, GuardStatus
 from sonoservo.systems.signals.immutable import NotFound
-from sonoservo.systems.signals.motion_record import MotionRecord
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
-from sonoservo.systems.signals.sweep import SweepGeometry, SweepMotion
-from sonoservo.systems.signals.volume_check import VolumeCheck
+from sonoservo.systems.signals.sweep import MotionRecord, SweepGeometry, SweepMotion
+from sonoservo.systems.signals.volume import VolumeCheck
 
 X_WP = RigidTransform(RollPitchYaw(0.1, 0.2, 0.3), [0.4, 0.5, 0.6])
 X_WT = RigidTransform(RollPitchYaw(0.0, 0.0, 0.5), [0.1, 0.2, 0.3])
