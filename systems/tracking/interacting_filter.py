@@ -66,7 +66,7 @@ class InteractingState(Immutable):
     def _needle(self) -> tuple[Floats, Floats]:
         """Mean (6n,) and covariance of the needle's control points and velocities up to its tip."""
         size = self._size
-        mean, P = _mixed(self.weights, self.means, self.covariances)
+        _, mean, P = _mixed(self.weights, self.means, self.covariances)
         beyond = _beyond(self.axis, size)
         C = np.eye(2 * size, 3 * size + 2)
         C[:size, -2], C[size:, -1] = beyond, beyond
@@ -226,12 +226,10 @@ class InteractingFilter:
         dt = time - state.time
         if dt <= 0:
             return state
-        switch = np.kron(transition(dt, self._times), np.eye(3))
-        weights = state.weights @ switch
-        came_from = (state.weights[:, np.newaxis] * switch / np.maximum(weights, 1e-300)).T
-        mixed = [_mixed(each, state.means, state.covariances) for each in came_from]
+        switch = np.kron(transition(dt, self._times), np.eye(3)).T
+        weights, x, P = _mixed(switch * state.weights, state.means, state.covariances)
         size, curve = state.means.shape[1] // 3, state.curve
-        moving, count = slice(2 * size), len(mixed)
+        moving, count = slice(2 * size), len(weights)
         A = np.stack([np.eye(3 * size + 2)] * count)
         Q = np.zeros_like(A)
         for model, motion in enumerate((self.steady, self.unsteady, self.carried)):
@@ -245,7 +243,6 @@ class InteractingFilter:
             A[n + 2, -2:, -2:], Q[n + 2, -2:, -2:] = constant_velocity(
                 dt, np.array([[motion.insertion]]), fades=self.unseen_time
             )
-        x, P = map(np.array, zip(*mixed, strict=True))
         means = (A @ x[..., np.newaxis])[..., 0]
         covariances = A @ P @ A.swapaxes(1, 2) + Q
         weights = weights * _beyond_end(means, covariances) / _beyond_end(x, P)
@@ -283,16 +280,13 @@ class InteractingFilter:
         # Under each (model, place): correction, and how well it fits.
         S = (C @ P @ C.T)[:, np.newaxis] + noise
         y = z - (mean @ C.T)[:, np.newaxis]
-        gains = np.linalg.solve(S, (C @ P)[:, np.newaxis]).swapaxes(-1, -2)
-        distances = np.einsum("mpi,mpi->mp", y, np.linalg.solve(S, y[..., np.newaxis])[..., 0])
+        inverse, CP = np.linalg.inv(S), (C @ P)[:, np.newaxis]
+        gains = CP.swapaxes(-1, -2) @ inverse
+        distances = np.einsum("mpi,mpij,mpj->mp", y, inverse, y)
         fits = -0.5 * (distances + np.linalg.slogdet(S)[1])
-        weights = probabilities * np.exp(fits - fits.max())
+        weights = np.maximum(probabilities * np.exp(fits - fits.max()), 1e-300)
         found = mean[:, np.newaxis] + (gains @ y[..., np.newaxis])[..., 0]
-        spreads = P[:, np.newaxis] - gains @ S @ gains.swapaxes(-1, -2)
-        weights = np.maximum(weights, 1e-300)
-        shares = weights / weights.sum(axis=1, keepdims=True)
-        mixed = [_mixed(*each) for each in zip(shares, found, spreads, strict=True)]
-        means, covariances = map(np.array, zip(*mixed, strict=True))
+        _, means, covariances = _mixed(weights, found, P[:, np.newaxis] - gains @ CP)
         prior = state.weights * _beyond_end(means, covariances) / _beyond_end(mean, P)
         weights *= prior[:, np.newaxis] / (prior @ weights).sum()
         return replace(
@@ -336,29 +330,22 @@ class InteractingFilter:
         slides, starts = (np.zeros(3 * size + 2) for _ in range(2))
         slides[:size], slides[-2] = slid * beyond, -slid
         starts[size : 2 * size] = self.first_speed_std * beyond
-        advancing, resting, hidden = range(3)
         stays, changed = (1 - hides) * (1 - changes), (1 - hides) * changes
-        ways = (
-            ((advancing, stays, same), (resting, changed, same), (hidden, shows, show)),
-            ((advancing, changed, stop), (resting, stays, same)),
-            ((advancing, hides, hide), (resting, hides, same), (hidden, 1 - shows, same)),
+        # From an end that advances, rests or hides to one that does, by row.
+        ways = np.array([[stays, changed, shows], [changed, stays, 0], [hides, hides, 1 - shows]])
+        T = np.array([[same, same, show], [stop, same, same], [hide, same, same]])
+        drift = np.zeros((3, 3, len(same)))
+        drift[0, 1], drift[2, 1:] = starts, slides
+        x, P = state.means.reshape(3, 1, 3, -1, 1), state.covariances.reshape(3, 1, 3, *same.shape)
+        P = T @ P @ T.swapaxes(-1, -2) + drift[..., np.newaxis] * drift[..., np.newaxis, :]
+        came = ways * state.weights.reshape(3, 1, 3)
+        weights, means, covariances = _mixed(came, (T @ x)[..., 0], P)
+        return replace(
+            state,
+            weights=weights.ravel(),
+            means=means.reshape(state.means.shape),
+            covariances=covariances.reshape(state.covariances.shape),
         )
-        drift = {(advancing, resting): starts, (hidden, hidden): slides, (hidden, resting): slides}
-        weights, means, covariances = (
-            np.empty_like(each) for each in (state.weights, state.means, state.covariances)
-        )
-        for n in range(len(weights)):
-            came, x, P = [], [], []
-            for i, probability, T in ways[n % 3]:
-                m, more = n - n % 3 + i, drift.get((n % 3, i), np.zeros(3 * size + 2))
-                came.append(state.weights[m] * probability)
-                x.append(T @ state.means[m])
-                P.append(T @ state.covariances[m] @ T.T + np.outer(more, more))
-            weights[n] = sum(came)
-            means[n], covariances[n] = _mixed(
-                np.array(came) / max(weights[n], 1e-300), np.array(x), np.array(P)
-            )
-        return replace(state, weights=weights, means=means, covariances=covariances)
 
     def _constant(self, measurement: NeedleMeasurement, R: Floats) -> Floats:
         """Return the covariance of the errors that all measurements have in common."""
@@ -433,9 +420,14 @@ def transition(dt: float, times: Floats) -> Floats:
     return np.asarray(lasting + cosh * passing + sinh * (rates + m * passing))
 
 
-def _mixed(weights: Floats, means: Floats, covariances: Floats) -> tuple[Any, Any]:
-    """Return mean and covariance of a mixture of Gaussians."""
-    mean = weights @ means
-    apart = means - mean
-    P = np.einsum("m,mij->ij", weights, covariances) + (apart.T * weights) @ apart
-    return mean, P
+def _mixed(weights: Floats, means: Floats, covariances: Floats) -> tuple[Any, Any, Any]:
+    """Return weight, mean and covariance of mixtures of Gaussians, (..., m) weighted ones each."""
+    total = weights.sum(axis=-1)
+    shares = (weights / np.maximum(total, 1e-300)[..., np.newaxis])[..., np.newaxis, :]
+    mean = (shares @ means)[..., 0, :]
+    apart = means - mean[..., np.newaxis, :]
+    size = means.shape[-1]
+    flat = covariances.reshape(*covariances.shape[:-2], size**2)
+    P = (shares @ flat)[..., 0, :].reshape(*mean.shape, size)
+    P += (apart.swapaxes(-1, -2) * shares) @ apart
+    return total, mean, P
