@@ -20,7 +20,8 @@ from pydrake.systems.sensors import CameraInfo
 
 from sonoservo.diagrams import load_scenario, make_experiment
 from sonoservo.systems.display.shapes import sector_edges
-from sonoservo.systems.evaluation.reports.key_frames import ESTIMATE, TRUTH, true_needle
+from sonoservo.systems.evaluation.reports.key_frames import true_needle
+from sonoservo.systems.evaluation.reports.plots import ESTIMATE, TRUTH
 from sonoservo.systems.evaluation.run_errors import at_times, features
 
 PATH = Path(__file__).with_name("needle.webp")

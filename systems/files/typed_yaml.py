@@ -7,7 +7,6 @@ name; Drake's own schema classes inside them are filled by Drake's `yaml_load_ty
 import dataclasses
 import difflib
 import math
-import sys
 import types
 import typing
 from collections.abc import Iterable, Mapping, Sequence
@@ -18,6 +17,7 @@ from typing import Any, TypeVar
 import yaml
 
 from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
+from sonoservo.systems.files.writing import to_plain
 from sonoservo.systems.files.yaml_loader import MAX_DEPTH, MAX_LENGTH, Dumper, Tagged, load_yaml
 
 T = TypeVar("T")
@@ -86,19 +86,6 @@ def _fields(schema: Any) -> dict[str, Any]:
     return {field.name: field.type for field in getattr(schema, "__fields__", ())}
 
 
-def without_numpy(value: Any) -> Any:
-    """Return a value with NumPy's numbers and arrays, also in mappings and lists, as Python's."""
-    # Values of NumPy are there only if somebody has loaded it.
-    np = sys.modules.get("numpy")
-    if np is not None and isinstance(value, np.generic | np.ndarray):
-        return value.tolist()
-    if isinstance(value, Mapping):
-        return {key: without_numpy(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [without_numpy(item) for item in value]
-    return value
-
-
 def apply_changes(data: dict[str, Any], changes: Mapping[str, Any] | Sequence[str] | None) -> None:
     """Change fields of a nested mapping: values by dotted path, or ``path.to.field=value``.
 
@@ -107,7 +94,7 @@ def apply_changes(data: dict[str, Any], changes: Mapping[str, Any] | Sequence[st
     """
     if isinstance(changes, Mapping):
         for path, value in changes.items():
-            _assign(data, str(path), without_numpy(value))
+            _assign(data, str(path), to_plain(value, for_json=False))
         return
     if changes is None:
         return

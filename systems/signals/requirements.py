@@ -4,7 +4,7 @@ A failed one is a ValueError that names the field, its value and what is allowed
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from functools import cache
 from numbers import Real
@@ -20,33 +20,6 @@ def require(condition: bool, name: str, value: object, allowed: str) -> None:
     """Raise ValueError naming the field, its value and what is allowed, unless ``condition``."""
     if not condition:
         raise ValueError(f"{name}: {value!r} is not allowed; it must be {allowed}")
-
-
-def require_positive(**values: float) -> None:
-    """Raise ValueError unless every value is a finite number above zero."""
-    for name, value in values.items():
-        require(_is_finite(value) and value > 0, name, value, "a number above 0")
-
-
-def require_not_negative(**values: float) -> None:
-    """Raise ValueError unless every value is a finite number of at least zero."""
-    for name, value in values.items():
-        require(_is_finite(value) and value >= 0, name, value, "a number of at least 0")
-
-
-def require_within(name: str, value: float, low: float, high: float) -> None:
-    """Raise ValueError unless a number lies between two limits, or is equal to one."""
-    require(
-        _is_finite(value) and low <= value <= high, name, value, f"from {low:.4g} to {high:.4g}"
-    )
-
-
-def require_time(*, positive: bool = False, **values: float) -> None:
-    """Raise ValueError unless every value is a time from zero, or above it, to `MAX_TIME`."""
-    for name, value in values.items():
-        fits = _is_finite(value) and 0 <= value <= MAX_TIME and (value > 0 or not positive)
-        start = "above 0 and at most" if positive else "from 0 to"
-        require(fits, name, value, f"{start} {MAX_TIME:g} s")
 
 
 def _is_finite(value: object) -> bool:
@@ -100,6 +73,26 @@ def count_of(count: int, what: str = "numbers") -> Bound:
     return Bound(f"{numerals.get(count, count)} {what}", lambda value: len(value) == count)
 
 
+def require_positive(**values: float) -> None:
+    """Raise ValueError unless every value is a finite number above zero."""
+    _require_each(above(0), values)
+
+
+def require_not_negative(**values: float) -> None:
+    """Raise ValueError unless every value is a finite number of at least zero."""
+    _require_each(at_least(0), values)
+
+
+def require_within(name: str, value: float, low: float, high: float) -> None:
+    """Raise ValueError unless a number lies between two limits, or is equal to one."""
+    _require_each(within(low, high), {name: value})
+
+
+def _require_each(bound: Bound, values: Mapping[str, object]) -> None:
+    for name, value in values.items():
+        require(bound.fits(value), name, value, bound.allowed)
+
+
 Positive: TypeAlias = Annotated[float, above(0)]
 """Number above 0."""
 
@@ -115,10 +108,7 @@ Fraction: TypeAlias = Annotated[float, within(0, 1)]
 PositiveInt: TypeAlias = Annotated[int, at_least(1)]
 """Whole number of at least 1."""
 
-Time: TypeAlias = Annotated[
-    float,
-    Bound(f"from 0 to {MAX_TIME:g} s", lambda value: _is_finite(value) and 0 <= value <= MAX_TIME),
-]
+Time: TypeAlias = Annotated[float, within(0, MAX_TIME, " s")]
 """Time from 0 to `MAX_TIME`, in s."""
 
 PositiveTime: TypeAlias = Annotated[

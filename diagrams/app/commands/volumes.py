@@ -62,7 +62,7 @@ def track_command(
 ) -> None:
     """Track a needle through recorded or live volumes, and write a folder of results."""
     from sonoservo.diagrams.app.volumes.track import tracker_parameters
-    from sonoservo.systems.live.connection.protocols import is_address
+    from sonoservo.systems.live.connection.address import is_address
 
     live = is_address(source)
     parameters = tracker_parameters(
@@ -106,7 +106,7 @@ def _track_stream(
     from sonoservo.diagrams.app.terminal import live_table, mode_words, reasons_lines
     from sonoservo.diagrams.app.volumes.check import brief_stream_finding
     from sonoservo.diagrams.app.volumes.opening import live_source
-    from sonoservo.systems.live.connection.protocols import parse_address
+    from sonoservo.systems.live.connection.address import parse_address
 
     place = parse_address(address)
     folder = results.out or Path("out") / f"{place.file_name}_track"
@@ -217,7 +217,7 @@ def bridge_command(
     from sonoservo.diagrams.app.live.serve import opened
     from sonoservo.diagrams.app.volumes.check import brief_stream_finding
     from sonoservo.diagrams.app.volumes.opening import live_source, open_volumes
-    from sonoservo.systems.live.connection.protocols import is_address, parse_address
+    from sonoservo.systems.live.connection.address import is_address, parse_address
 
     if is_address(source) == is_address(target):
         raise ConfigurationError(
@@ -315,7 +315,7 @@ def check_command(
     from sonoservo.diagrams.app.volumes.check import check_file, check_stream
     from sonoservo.systems.evaluation.reports.plots import png
     from sonoservo.systems.files.writing import write_atomically
-    from sonoservo.systems.live.connection.protocols import is_address, parse_address
+    from sonoservo.systems.live.connection.address import is_address, parse_address
 
     if is_address(source):
         reading.refuse_for_streams()

@@ -26,9 +26,9 @@ from sonoservo.diagrams.app.options import LiveLimits, ReadingFrames
 from sonoservo.diagrams.app.volumes.opening import live_maker
 from sonoservo.diagrams.app.volumes.track import tracker_parameters
 from sonoservo.systems.files.refusals import ConfigurationError
+from sonoservo.systems.live.connection.address import parse_address
 from sonoservo.systems.live.connection.items import ImageItem, StatusItem
 from sonoservo.systems.live.connection.link import Link
-from sonoservo.systems.live.connection.protocols import parse_address
 from sonoservo.systems.live.feeds import needle_feed, volume_items
 from sonoservo.systems.live.image_matcher import ImageMatcher
 from sonoservo.systems.live.live_source import LiveSource
