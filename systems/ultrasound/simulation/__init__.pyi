@@ -1,5 +1,8 @@
 from .acquisition import acquire_sweep as acquire_sweep
 from .air_pockets import AirPocketParameters as AirPocketParameters
+from .errors import ClockParameters as ClockParameters
+from .errors import ConnectionParameters as ConnectionParameters
+from .errors import MotorParameters as MotorParameters
 from .needles.needle_echo import NeedleEchoParameters as NeedleEchoParameters
 from .needles.needle_kind import load_needle as load_needle
 from .reaction.deformation import Deformation as Deformation
