@@ -343,10 +343,7 @@ class InteractingFilter:
 
     def _constant(self, measurement: NeedleMeasurement, R: Floats) -> Floats:
         """Return the covariance of the errors that all measurements have in common."""
-        k = measurement.curve.direction
-        constant = self.constant * R
-        constant[-3:, -3:] += measurement.bevel_std**2 * np.outer(k, k)
-        return constant
+        return self.constant * R + (0 if measurement.common is None else measurement.common)
 
     def _correlation(self, before: NeedleMeasurement, now: NeedleMeasurement) -> float:
         """Return the correlation of the repeated errors of two measurements."""
