@@ -22,8 +22,7 @@ from sonoservo.systems.display.colours import (
     UNCERTAINTY,
     hexadecimal,
 )
-from sonoservo.systems.display.console.history import STRIPS, Frame
-from sonoservo.systems.display.console.readings import shown_number
+from sonoservo.systems.display.console.readings import STRIPS, Frame, shown_number
 
 _GROUND, _PLOT, _INK, _GRID = "#10141a", "#0a0d11", "#aeb7c2", "#242c36"
 _FIRST, _SECOND = "#58b4f0", "#f0a35e"

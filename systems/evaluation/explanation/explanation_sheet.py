@@ -9,8 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 from pydrake.math import RigidTransform
 
-from sonoservo.systems.evaluation.explanation.explained_volume import ExplainedVolume
-from sonoservo.systems.evaluation.explanation.explanation_recorder import AFTER, BEFORE
+from sonoservo.systems.evaluation.explanation.explained_volume import AFTER, BEFORE, ExplainedVolume
 from sonoservo.systems.evaluation.log import Array
 from sonoservo.systems.signals.confidence import squared_distance
 from sonoservo.systems.signals.needle_curve import NeedleCurve

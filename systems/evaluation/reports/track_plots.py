@@ -1,4 +1,4 @@
-"""Pictures of the slices through a needle, and plots of one tracked through a recording."""
+"""Pictures of the slices through a needle, the leaf that keeps them, and plots of a recording."""
 
 import io
 from collections.abc import Sequence
@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image
 from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.systems.framework import Context, LeafSystem
 
 from sonoservo.systems.evaluation.reports.plots import (
     BLUE,
@@ -23,9 +24,12 @@ from sonoservo.systems.evaluation.reports.plots import (
 from sonoservo.systems.files.memory import require_memory
 from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
 from sonoservo.systems.files.writing import write_atomically
+from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.leaves import declare_looks, declare_memory
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
 from sonoservo.systems.signals.planes import sample_plane, slice_planes
+from sonoservo.systems.signals.ports import declare_inputs, evaluate
 from sonoservo.systems.signals.volume import Volume
 
 Floats = NDArray[np.float64]
@@ -214,3 +218,48 @@ def _plane(jpeg: bytes, X_PS: np.ndarray, extent: np.ndarray, needle: np.ndarray
         raise ValueError(f"the extent {extent.tolist()} of a slice is empty")
     shown = needle if np.isfinite(needle).all() else np.zeros((0, 2))
     return PlanePicture(jpeg, (left, right, bottom, top), pose, shown)
+
+
+_MOST = 400  # number of pictures above which every second one is dropped
+
+
+class PictureRecorder(LeafSystem):
+    """Keeps the two slices through the estimated needle of every new volume.
+
+    .. pydrake_system::
+
+        name: PictureRecorder
+        input_ports:
+        - volume
+        - estimate
+
+    A volume's pictures take 20 KB and 3 ms. Beyond 400, every second of the older ones is dropped.
+
+    Parameters
+    ----------
+    period, offset
+        Period of the checks for a new volume and time of the first one, in s.
+    """
+
+    def __init__(self, *, period: float, offset: float = 0.0) -> None:
+        super().__init__()
+        declare_inputs(self, volume=(Volume, NotFound), estimate=NeedleEstimate)
+        self._pictures = declare_memory(self, list[VolumePictures])
+        declare_looks(
+            self, self._look, period=period, offset=offset,
+            start=lambda context: self.pictures(context).clear(),
+        )  # fmt: skip
+
+    def pictures(self, context: Context) -> list[VolumePictures]:
+        """Return the pictures so far, in order of time."""
+        return self._pictures(context)
+
+    def _look(self, context: Context) -> None:
+        volume = evaluate(self, context, "volume", (Volume, NotFound))
+        estimate = evaluate(self, context, "estimate", NeedleEstimate)
+        kept = self.pictures(context)
+        if not isinstance(volume, Volume) or (kept and volume.time <= kept[-1].time):
+            return
+        kept.append(picture_planes(volume, estimate.mode, estimate.curve))
+        if len(kept) > _MOST:
+            del kept[1 : _MOST // 2 : 2]

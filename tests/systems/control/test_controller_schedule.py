@@ -4,9 +4,9 @@ from sonoservo.systems.control.controller_schedule import (
     ControllerChange,
     ControllerSchedule,
     ControllerSettings,
+    OperatorSettings,
+    ScheduledSettings,
 )
-from sonoservo.systems.control.operator_settings import OperatorSettings
-from sonoservo.systems.control.scheduled_settings import ScheduledSettings
 
 START = ControllerSettings(gain=1.6, force=2.0)
 

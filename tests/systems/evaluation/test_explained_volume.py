@@ -21,11 +21,11 @@ from sonoservo.systems.evaluation.explanation.explained_volume import (
     clear_explanations,
     deciding_attempt,
     explain_volume,
+    find_occasion,
     imaged_needle,
     read_explanations,
     write_explanation,
 )
-from sonoservo.systems.evaluation.explanation.explanation_recorder import find_occasion
 from sonoservo.systems.evaluation.log import columns
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.localization_explanation import LocalizationExplanation

@@ -6,8 +6,11 @@ from pydrake.common.value import Value
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 
-from sonoservo.systems.evaluation.explanation.explained_volume import FOLDER, read_explanations
-from sonoservo.systems.evaluation.explanation.explanation_recorder import ExplanationRecorder
+from sonoservo.systems.evaluation.explanation.explained_volume import (
+    FOLDER,
+    ExplanationRecorder,
+    read_explanations,
+)
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle_estimate import TrackingMode
 

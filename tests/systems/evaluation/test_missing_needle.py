@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from synthetic_logs import build_log
 
-from sonoservo.systems.evaluation.missing_needle import missing_needle
+from sonoservo.systems.evaluation.metrics import missing_needle
 from sonoservo.systems.signals.search_reason import ReasonCount, SearchReason
 
 NONE = "there is no earlier volume to compare with"

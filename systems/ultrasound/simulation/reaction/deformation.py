@@ -19,6 +19,7 @@ from sonoservo.systems.ultrasound.simulation.kernels.displacement import (
     Displacements,
     displace_points,
 )
+from sonoservo.systems.ultrasound.simulation.kernels.needle_push import spaced
 
 _MOST_POINTS = 7
 _SPACING = 4e-3
@@ -114,10 +115,7 @@ def moved_needle(
     needle: Needle, field: Displacements, frame: int, *, pushed: bool = True
 ) -> Needle:
     """Return a needle in T displaced by the field of a frame, by its needle only if ``pushed``."""
-    length = needle.length
-    count = max(int(np.ceil(length / _SPACING)) + 1, len(needle.shaft), 2)
-    points = needle.position(np.linspace(0, length, count))
-    shaft = displace_points(points, field, frame, pushed)
+    shaft = displace_points(spaced(needle.shaft, _SPACING), field, frame, pushed)
     return Needle(shaft, needle.radius, roll=needle.roll, track=needle.track)
 
 
@@ -156,6 +154,8 @@ def displacements(deformations: Sequence[Deformation] | None) -> Displacements:
 
 def _thinned(shaft: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return a few of a shaft's points, with both ends; only these if it is straight."""
+    if len(shaft) == 2:
+        return shaft
     along = shaft[-1] - shaft[0]
     length = max(float(np.linalg.norm(along)), 1e-9)
     if np.linalg.norm(np.cross(shaft - shaft[0], along), axis=1).max() < _STRAIGHT * length:

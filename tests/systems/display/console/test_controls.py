@@ -6,11 +6,11 @@ from pydrake.systems.analysis import Simulator
 
 from sonoservo.systems.display.console.controls import (
     Controls,
+    OperatorPanel,
     controller_controls,
     deflection,
     operator_controls,
 )
-from sonoservo.systems.display.console.operator_panel import OperatorPanel
 
 CONTROLS = [
     *operator_controls(azimuth_deg=10.0, dip_deg=5.0),
