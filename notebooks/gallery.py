@@ -119,11 +119,9 @@ for i, (row, scans) in enumerate(shown.items()):
         show(axes, s.volume, LONG)
         axes.set_title(f"{ANGLES[j]}°" if i == 0 else "", color=INK, fontsize=12)
         axes.set_ylabel(row if j == 0 else "", color=INK, fontsize=10)
-        axes.set_xlabel(
-            f"{echo.peak_db:.0f} dB   {1e3 * echo.visible_length:.0f} mm   "
-            f"{1e3 * echo.thickness:.1f} mm thick",
-            color=LINE, fontsize=8.5,
-        )  # fmt: skip
+        thick = f"{1e3 * echo.thickness:.1f} mm thick" if echo.peak_db > 20 else "too faint"
+        figures_text = f"{echo.peak_db:.0f} dB   {1e3 * echo.visible_length:.0f} mm   {thick}"
+        axes.set_xlabel(figures_text, color=LINE, fontsize=8.5)
 for j, (name, (_, s)) in enumerate(moved.items()):
     axes = figure.add_subplot(grid[4, j])
     show(axes, s.volume, FLAT)
@@ -141,13 +139,13 @@ for angle, echo, shade in zip(
     ANGLES, figures["as it is"], plt.cm.plasma(np.linspace(0.25, 0.95, 5)), strict=True
 ):
     axes.plot(1e3 * echo.distance - 45, echo.level_db, color=shade, label=f"{angle}°", linewidth=1)
-axes.set(xlim=(-36, 16), ylim=(0, 42))
+axes.set(xlim=(-36, 16), ylim=(0, 46))
 axes.set_title("level along the needle, dB over the tissue", color=INK, fontsize=9.5)
 axes.set_xlabel("from the middle of the beam, mm", color=LINE, fontsize=8.5)
 axes.tick_params(colors=QUIET, labelsize=7)
 axes.tick_params(axis="y", direction="in", pad=-15)
 axes.spines[:].set_color(QUIET)
-axes.legend(frameon=False, labelcolor=INK, fontsize=8.5, ncols=5, loc="lower center")
+axes.legend(frameon=False, labelcolor=INK, fontsize=8.5, ncols=5, loc="upper center")
 figure.suptitle(
     "A needle at 0 to 40° to the normal of the beam. Below each image: level above the tissue, "
     "length that stands out by 12 dB, thickness at -20 dB",

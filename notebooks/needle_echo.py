@@ -31,7 +31,7 @@ class NeedleEchoFigures:
     thickness
         Thickness of the echo where the needle is brightest, in m: the distance between the first
         and the last point less than 20 dB below the peak, across the needle in the plane of needle
-        and beam.
+        and beam. NaN if the tissue itself is as bright as that.
     distance, level_db
         (n,) distances along the needle from its first end in m, and levels there in dB, averaged
         over 1 mm; NaN outside the sector.
@@ -79,10 +79,11 @@ def measure_needle_echo(
     bright = np.flatnonzero(
         sweep.decibels_per_level * (grey - imaging.tissue_grey) > peak + _THICKNESS_DB
     )
+    thickness = float(_STEP * (bright[-1] - bright[0] + 1))
     return NeedleEchoFigures(
         peak_db=float(peak),
         visible_length=float(_STEP * np.sum(smooth >= _VISIBLE_DB)),
-        thickness=float(_STEP * (bright[-1] - bright[0] + 1)),
+        thickness=thickness if peak + _THICKNESS_DB > 0 else float("nan"),
         distance=distance,
         level_db=smooth,
     )
