@@ -37,7 +37,7 @@ class AirPocketParameters(Bounded):
     """
 
     share: Annotated[float, within(0, 0.9)] = 0.0
-    size: Annotated[float, at_least(0.001, " mm")] = 8e-3
+    size: Annotated[float, at_least(0.001, " m")] = 8e-3
     period: Positive = 4.0
 
 

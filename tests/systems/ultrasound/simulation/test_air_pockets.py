@@ -82,9 +82,3 @@ def test_an_air_pocket_hides_what_lies_below_it_and_nothing_else():
     # In the air above the tissue, there is only noise.
     lifted = renderer.render(still(renderer, shift(0, 0, 1) @ DOWN), needles, 1, 0)
     np.testing.assert_array_equal(shadowed[:, :half], lifted[:, :half])
-
-
-def test_bad_values_are_refused():
-    for name, value in (("share", 1.0), ("size", 0.0), ("size", 1e-4), ("period", -1.0)):
-        with pytest.raises(ValueError, match=name):
-            AirPocketParameters(**{name: value})
