@@ -7,6 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydrake.math import RigidTransform
 
 from sonoservo.systems.signals.immutable import Immutable, own
+from sonoservo.systems.signals.point_spread import PointSpread
 from sonoservo.systems.signals.requirements import require
 from sonoservo.systems.signals.sweep import SweepMotion
 
@@ -22,10 +23,13 @@ class RadioFrequencySweep(Immutable):
         long as all further processing.
     motion
         Time and pose at which each frame was acquired.
+    point_spread
+        Resolution of the transducer; None if unknown.
     """
 
     lines: NDArray[np.float32]
     motion: SweepMotion
+    point_spread: PointSpread | None = None
 
     def __post_init__(self) -> None:
         lines = own(np.asarray(self.lines, dtype=np.float32))
