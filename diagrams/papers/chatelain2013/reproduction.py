@@ -14,8 +14,7 @@ from rich.console import Console
 
 from sonoservo.diagrams.papers.chatelain2013.report import report
 from sonoservo.diagrams.studies.following.analysis import AS_PUBLISHED, run_case
-from sonoservo.diagrams.studies.runs import run_cases
-from sonoservo.diagrams.studies.store import Store
+from sonoservo.diagrams.studies.runs import run_study
 from sonoservo.diagrams.studies.study import Case, StudyOptions
 from sonoservo.diagrams.studies.study_report import Study
 
@@ -201,15 +200,7 @@ PROTOCOLS: Mapping[str, Protocol] = {
 def reproduce(options: StudyOptions) -> Study:
     """Run the experiments, and compare them with the paper."""
     logs = options.folder / "logs"
-    outcomes = run_cases(
-        run_case,
-        study_cases(options),
-        options.folder / "cases",
-        jobs=options.jobs,
-        cluster=options.cluster,
-        store=Store(str(logs)),
-        console=options.console,
-    )
+    outcomes = run_study(run_case, study_cases(options), options, logs=logs)
     with (options.console or Console(quiet=True)).status("Making the report from the logs ..."):
         return report(outcomes, logs)
 
