@@ -33,9 +33,9 @@ class PublishedLifecycle:
     Once the needle is visible with a certain length it is tracked: every measurement corrects the
     filter, without a gate on its innovation. A lost needle is not searched for.
 
-    The paper does not say when a track ends. Here it ends when the needle is shorter than half of
-    what its start takes, or after many volumes without any measurement. Without the first rule, the
-    second insertion of fig. 4 could not be detected. Half, as a needle may be dim in places.
+    The paper does not say when a track ends. Here it ends after many volumes in a row that do not
+    show the needle with half the length that its start takes. Half, as a needle may be dim in
+    places, and many, as it leaves the region for a moment where the phantom is moved.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ class PublishedLifecycle:
     min_length
         Visible length at which a track starts, in m.
     volumes_to_end
-        Number of successive volumes without a measurement after which the track ends.
+        Number of such volumes after which the track ends.
     """
 
     gate: ClassVar[None] = None
@@ -97,10 +97,10 @@ class PublishedLifecycle:
             measured, time = measurement, measurement.time
         state = self.needle_filter.predict(track.state, time)
         state = self.needle_filter.update(state, measured, speed)
-        if (state.curve.tip - state.curve.entry) @ _direction(track) < self.min_length / 2:
-            return Track.without_needle(time, "the needle is too short to be tracked")
-        if measured is not None:
+        length = float((state.curve.tip - state.curve.entry) @ _direction(track))
+        if measured is not None and length >= self.min_length / 2:
             return Track.confirmed(state, time)
+        reason = reason or f"only {1e3 * length:.1f} mm of the needle are visible"
         missed = track.missed + 1
         if missed >= self.volumes_to_end:
             return Track.without_needle(time, reason)

@@ -51,9 +51,9 @@ class PublishedLocalizationParameters(Bounded):
     candidate_volume
         Total volume of the candidate voxels, which fixes their number ``|X_t|``, in m^3.
     margin
-        Margin of the volume of interest around the predicted curve, also beyond its ends, in m.
-    first_margin
-        The same around the entry point, when nothing else is known about the needle, in m.
+        Margin of the volume of interest around the predicted curve, or around the entry point, when
+        nothing else is known about the needle, in m; also beyond its ends. From one volume to the
+        next, the phantom of fig. 6 moves by as much.
     max_angle_deg
         Largest angle alpha_0 from the predicted direction (eq. 22), in degrees.
     min_length
@@ -74,8 +74,7 @@ class PublishedLocalizationParameters(Bounded):
     """
 
     candidate_volume: Positive = 400e-9
-    margin: Positive = 10e-3
-    first_margin: Positive = 20e-3
+    margin: Positive = 20e-3
     max_angle_deg: Positive = 35.0
     min_length: Positive = 20e-3
     max_gap: Positive = 6e-3
@@ -100,9 +99,8 @@ def explain_published_localization(
         return LocalizationExplanation(volume.time, prediction, (), prediction)
     assert prediction.curve is not None
     first = prediction.entry is None
-    margin = parameters.first_margin if first else parameters.margin
     angle = np.pi / 2 if first else np.deg2rad(parameters.max_angle_deg)
-    region = SearchRegion(prediction.curve, margin, margin, margin, margin, float(angle))
+    region = SearchRegion(prediction.curve, *4 * (parameters.margin,), float(angle))
     looked: dict[str, Any] = {}
     result = _localize(volume.at_once(), region, first, parameters, rng, looked)
     attempt = LocalizationAttempt(region, result, **looked)

@@ -66,14 +66,18 @@ def test_a_needle_not_seen_coasts_and_is_given_up_without_a_search():
     assert step(track, 9.0).mode == TrackingMode.SEARCHING
 
 
-def test_the_track_ends_below_half_the_length_of_its_start():
-    track = tracked()
-    for time in np.arange(0.6, 3.0, 0.3):
+def test_the_track_ends_where_the_needle_stays_below_half_the_length_of_its_start():
+    track, short = tracked(), []
+    for time in 0.6 + 0.3 * np.arange(20):
         track = step(track, time, measurement=measurement(0.002, time))
+        short.append(track.mode == TrackingMode.COASTING)
+        if sum(short) == 3:
+            # A needle that is seen again is not given up.
+            assert step(track, time, measurement=measurement(0.03, time)).missed == 0
         if not track:
             break
     assert track.mode == TrackingMode.SEARCHING
-    assert not track
+    assert sum(short) == LIFE.volumes_to_end - 1
 
 
 def test_the_filter_must_take_the_order():
