@@ -57,8 +57,9 @@ class PublishedLocalizationParameters(Bounded):
     max_angle_deg
         Largest angle alpha_0 from the predicted direction (eq. 22), in degrees.
     min_length
-        Visible length from which on a needle is tracked, in m. Around an entry, tissue alone shows
-        lines of 10 to 15 mm.
+        Length with which a volume must show a needle, in m. Around an entry, tissue alone shows
+        lines of 10 to 15 mm; where a gap cuts a needle, its rest would throw the filter's entry
+        forwards.
     max_gap
         Largest gap in the intensity along the needle that does not end it, in m.
     std
@@ -143,10 +144,8 @@ def _localize(
     if first and np.linalg.norm(tip[0] - entry) > np.linalg.norm(tip[1] - entry):
         ends = ends[::-1]
     length = float(abs(ends[1] - ends[0]))
-    if first and length < parameters.min_length:
+    if length < parameters.min_length:
         return NotFound(f"only {1e3 * length:.1f} mm of the needle are visible")
-    if length == 0:
-        return NotFound("no intensity along the axis is above that of the surroundings")
     # Control points are uniform along the chord: the entry rests, the tip moves, no point slides.
     curve = NeedleCurve(axis.position(np.linspace(ends[0], ends[1], order)))
     covariance = parameters.std**2 * np.eye(3 * order)

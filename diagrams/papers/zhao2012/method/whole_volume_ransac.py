@@ -57,7 +57,7 @@ class WholeVolumeLocalizationParameters(WholeVolumeRansacParameters):
     Parameters
     ----------
     min_length
-        Visible length from which on a needle is tracked, in m.
+        Length with which a volume must show a needle, in m.
     std
         Standard deviation of the tip and the rear end in every direction, which gives the
         covariance R of eq. 3, in m.
@@ -167,7 +167,7 @@ def explain_whole_volume_localization(
     result: NeedleMeasurement | NotFound
     if isinstance(found, NotFound):
         result = found
-    elif prediction.entry is None and found.tip - found.start < parameters.min_length:
+    elif found.tip - found.start < parameters.min_length:
         result = NotFound(f"only {1e3 * (found.tip - found.start):.1f} mm of a needle are visible")
     else:
         curve = NeedleCurve(found.fit.axis.position(np.array([found.start, found.tip])))
