@@ -28,7 +28,8 @@ $(VENV)/.installed.%: pyproject.toml setup.py
 	@echo "Setting up $(VENV): sonoservo and what it needs (about a minute if pip has it in its cache) ..."
 	@$(PYTHON) -c 'import sys; v = sys.version_info[:2]; sys.exit(0 if (3, 11) <= v <= (3, 13) else "sonoservo needs Python 3.11 to 3.13; this is %d.%d" % v)'
 	@$(PYTHON) -m venv $(VENV) || { echo "Could not make $(VENV): on Debian or Ubuntu, install the package python3-venv."; exit 1; }
-	@$(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check --editable '.$(if $(filter dev,$*),[dev])'
+	@set -o pipefail; $(BIN)/python -m pip install --no-compile --progress-bar off --disable-pip-version-check --editable \
+		'.$(if $(filter dev,$*),[dev])' | sed -un 's/^ *\(Downloading\|Using cached\) \(.* MB)\)$$/  \2/p; s/^Installing collected.*/  Installing .../p'
 	@touch $@
 
 $(VENV)/.compiled: pyproject.toml setup.py | $(VENV)/.installed.$(EXTRAS)

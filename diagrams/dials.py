@@ -1,6 +1,6 @@
 """Dials of the harder world: what makes images and instruments of a clinic hard."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.resources import files
 from pathlib import Path
@@ -16,21 +16,18 @@ _WEAKEST = 0.1  # smallest strength of a dial that is on
 
 @dataclass(frozen=True)
 class Dial:
-    """One difficulty of reality.
+    """One difficulty of reality."""
 
-    Parameters
-    ----------
-    line
-        Description for a person, with its unit.
-    moderate
-        Fields of a scenario of following at moderate strength, by their dotted paths.
-    plain
-        Numbers of those fields at strength 0, where they are not 0.
-    """
-
-    line: str
-    moderate: Mapping[str, Any]
-    plain: Mapping[str, float] = field(default_factory=dict)
+    line: str  # description for a person, with its unit
+    moderate: Mapping[str, Any]  # fields of a scenario of following at moderate strength, by path
+    plain: Mapping[str, float] = field(default_factory=dict)  # at strength 0, if not 0
+    strengths: Sequence[float] = (0.5, 1.0, 2.0)  # studied; none: closed loop only
+    value: float = 1.0  # quantity at moderate strength, in its own unit
+    at_zero: float = 0.0  # quantity at strength 0
+    unit: str = ""  # in words; empty for a switch
+    inverse: bool = False  # the quantity falls with the strength, as a distance does
+    judged: Sequence[str] = ()  # how errors are judged in a study: "in_probe", "across_depth"
+    phantom_field: Mapping[str, Sequence[float]] = field(default_factory=dict)
 
     def changes(self, strength: float = 1.0) -> list[str]:
         """Return the assignments that turn the dial to a strength.
@@ -43,6 +40,23 @@ class Dial:
     def _value(self, path: str, strength: float) -> Any:
         moderate, off = self.moderate[path], self.plain.get(path, 0.0)
         return off + strength * (moderate - off) if isinstance(moderate, float) else moderate
+
+    def quantity(self, strength: float) -> float:
+        """Return the dial's quantity at a strength, in its own unit."""
+        if self.inverse:
+            return self.value / strength
+        return self.at_zero + strength * (self.value - self.at_zero)
+
+    def words(self, strength: float, unit: bool = True) -> str:
+        """Return that quantity as text, with its unit or without; a switch is "on"."""
+        if not self.unit:
+            return "on"
+        return f"{self.quantity(strength):.3g}{f' {self.unit}' if unit else ''}"
+
+    def phantom_changes(self, strength: float) -> dict[str, float]:
+        """Return the changes of the phantom's file, where the dial is in it."""
+        fields = self.phantom_field.items()
+        return {path: a + b * self.quantity(strength) for path, (a, b) in fields}
 
 
 def load_dials() -> dict[str, Dial]:

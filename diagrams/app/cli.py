@@ -144,13 +144,12 @@ def run_command(
     if click:
         from sonoservo.diagrams.app.pages.first_click import ask_click
 
-        loaded = ask_click(loaded, console, host=page.host, by_itself=page.open_page)
+        loaded = ask_click(loaded, console, page)
     pages = None
     if meshcat:
         from sonoservo.diagrams.app.pages.pages import open_pages
 
-        title = f"{loaded.name}, seed {loaded.seed}"
-        pages = open_pages(console, title, host=page.host, by_itself=page.open_page)
+        pages = open_pages(console, f"{loaded.name}, seed {loaded.seed}", page)
     with (
         waiting(f"Simulating {loaded.duration:g} s ...", shown=False),
         serving(serve, loaded, say) as observers,
@@ -225,8 +224,7 @@ def drive_command(
     with refusing(loaded):
         following = replace(following, duration=duration)
     folder = results.out or Path("out") / f"{loaded.name}_driven_seed{loaded.seed}"
-    title = f"{loaded.name}, driven"
-    pages = open_pages(console, title, host=page.host, by_itself=page.open_page)
+    pages = open_pages(console, f"{loaded.name}, driven", page)
     console.print(DRIVING)
     with (
         serving(serve, following, say) as observers,

@@ -6,7 +6,7 @@ Only the processes that compile load what they run, which takes some seconds.
 import os
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from multiprocessing import get_context
 from typing import TYPE_CHECKING
 
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 _SPACING = 1e-3
 _SHAPE = (80, 60, 40)
 _VOLUMES, _BEFORE = 16, 7
+_SILENCE = 30.0  # Longest time in s without a line about the progress
 _ADVANCE = 3  # Advance of the needle from one synthetic volume to the next, in voxels
 
 
@@ -60,17 +61,22 @@ MORE_TASKS: tuple[Callable[[], None], ...] = (compile_shape_prediction, compile_
 
 
 def compile_kernels(*, everything: bool = False) -> Iterator[str]:
-    """Compile the kernels of runs and trackers, two at a time, and yield a line about each part."""
+    """Compile the kernels of runs and trackers, two at a time, and yield lines on the progress."""
     start = time.perf_counter()
     # Two, as they take turns in keeping the compiler busy; each takes some hundred MB.
     processes = min(2, os.cpu_count() or 1)
     with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
         wanted = (*TASKS, *MORE_TASKS) if everything else TASKS
-        tasks = {pool.submit(task): task for task in wanted}
-        for done in as_completed(tasks):
-            done.result()
-            name = tasks[done].__name__.removeprefix("compile_").replace("_", " ")
-            yield f"{name}: ready after {time.perf_counter() - start:.0f} s"
+        names = [task.__name__.removeprefix("compile_").replace("_", " ") for task in wanted]
+        left = {pool.submit(task): name for task, name in zip(wanted, names, strict=True)}
+        while left:
+            finished = wait(left, _SILENCE, FIRST_COMPLETED).done
+            after = f"after {time.perf_counter() - start:.0f} s"
+            for done in finished:
+                done.result()
+                yield f"{left.pop(done)}: ready {after}"
+            if not finished:
+                yield f"{', '.join(left.values())}: still compiling {after}"
 
 
 def _run(scenario: str, changes: list[str]) -> None:

@@ -1,18 +1,18 @@
 """Results of a run, which print and draw themselves."""
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 from matplotlib.figure import Figure
 from rich.console import Console
-from rich.table import Table
+from rich.table import Table as TerminalTable
 from rich.text import Text
 
 from sonoservo.systems.evaluation.labels import look_up
 from sonoservo.systems.evaluation.reports.report import Story, report_body
 from sonoservo.systems.evaluation.reports.verdict import Verdict
+from sonoservo.systems.evaluation.table import Table, cell_text
 
 _REASONS = 3  # Number of reasons of lost volumes that are shown
 
@@ -72,29 +72,25 @@ class RunResult:
         )
 
 
-def summary_table(result: RunResult) -> Table:
+def summary_table(result: RunResult) -> TerminalTable:
     """Return the figures of a run beside the published ones, for a terminal."""
     summary, published = result.summary, result.published
-    table = Table(title=f"{summary['scenario']}, seed {summary['seed']}", caption_justify="left")
     caption = Text(stops_text(summary))
     if result.verdict is not None:
         headline = Text(f"{result.verdict.headline}.", style="bold not italic")
         verdict = Text.assemble(headline, f" {result.verdict.text}")
         caption = Text("\n").join([verdict, caption] if caption else [verdict])
-    table.add_column("quantity")
-    table.add_column("this run", justify="right")
-    if published:
-        table.add_column("paper", justify="right")
-    for path, label in result.labels.items():
-        cells = [label, format_figure(look_up(summary, path))]
-        if published:
-            cells.append(format_figure(published[path]) if path in published else "")
-        table.add_row(*cells)
-    table.caption = caption or None
-    return table
+    rows = [
+        [label, cell_text(look_up(summary, path)), published.get(path)]
+        for path, label in result.labels.items()
+    ]
+    table = Table(["quantity", "this run", "paper"], rows).without_empty_columns()
+    shown = table.terminal(f"{summary['scenario']}, seed {summary['seed']}", widest=None)
+    shown.caption, shown.caption_justify = caption or None, "left"
+    return shown
 
 
-def table_text(table: Table) -> str:
+def table_text(table: TerminalTable) -> str:
     """Return a table as plain text, as a terminal shows it."""
     console = Console(width=100, color_system=None, force_jupyter=False)
     with console.capture() as captured:
@@ -128,12 +124,3 @@ def reasons_text(reasons: Mapping[str, int]) -> str:
     shown = [f"{count} x {reason}" for reason, count in list(reasons.items())[:_REASONS]]
     rest = sum(reasons.values()) - sum(list(reasons.values())[:_REASONS])
     return "; ".join(shown) + (f"; {rest} x others" if rest else "")
-
-
-def format_figure(value: Any) -> str:
-    """Return a figure with three significant digits, a whole number as it is, or a dash."""
-    if value is None or (isinstance(value, float) and math.isnan(value)):
-        return "-"
-    if value == math.inf:
-        return "∞"
-    return f"{value:.3g}" if isinstance(value, float) else str(value)

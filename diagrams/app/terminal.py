@@ -7,16 +7,17 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as RichProgress
-from rich.table import Table
+from rich.table import Table as TerminalTable
 from rich.text import Text
 
-from sonoservo.diagrams.app.run_result import RunResult, format_figure, reasons_text
+from sonoservo.diagrams.app.run_result import RunResult, reasons_text
 from sonoservo.diagrams.experiments.experiment import Experiment
 from sonoservo.diagrams.scenario import Scenario
 from sonoservo.diagrams.studies.study_report import Study, rows_table
 from sonoservo.systems.evaluation.labels import LABELS, look_up, recording_labels
 from sonoservo.systems.evaluation.source_checks import Finding, Grade, sort_findings
 from sonoservo.systems.evaluation.success import RunOutcome, run_outcome
+from sonoservo.systems.evaluation.table import Table
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
 
 
@@ -32,7 +33,7 @@ def end_run(result: RunResult) -> None:
 _NEEDS_WIDTH = ("ours, estimated", "as published, estimated", "as published, 95 %")
 
 
-def study_table(study: Study, width: int) -> Table:
+def study_table(study: Study, width: int) -> TerminalTable:
     """Return the rows of a study, for a terminal of so many characters in a line."""
     table = rows_table(study.rows).grouped()
     if width < 120:
@@ -109,22 +110,15 @@ def mode_words(summary: Mapping[str, Any]) -> str:
 
 
 def figures_table(
-    summary: Mapping[str, Any], column: str, labels: Mapping[str, str], *further: tuple[str, str]
-) -> Table:
+    summary: Mapping[str, Any], column: str, labels: Mapping[str, str], *further: tuple[str, int]
+) -> TerminalTable:
     """Return the figures of a summary that have a value, and further rows, for a terminal."""
-    table = Table(title=str(summary["scenario"]))
-    table.add_column("quantity")
-    table.add_column(column, justify="right")
-    for path, label in labels.items():
-        figure = look_up(summary, path)
-        if figure is not None:
-            table.add_row(label, format_figure(figure))
-    for row in further:
-        table.add_row(*row)
-    return table
+    figures = [(label, look_up(summary, path)) for path, label in labels.items()]
+    rows = [*(each for each in figures if each[1] is not None), *further]
+    return Table(["quantity", column], rows).terminal(str(summary["scenario"]), widest=None)
 
 
-def mode_table(summary: Mapping[str, Any]) -> Table:
+def mode_table(summary: Mapping[str, Any]) -> TerminalTable:
     """Return the figures of a tracked recording, for a terminal."""
     return figures_table(summary, "this recording", recording_labels(summary["modes"]) | LABELS)
 
@@ -140,21 +134,18 @@ _LIVE_ROWS = {
 }
 
 
-def live_table(summary: Mapping[str, Any]) -> Table:
+def live_table(summary: Mapping[str, Any]) -> TerminalTable:
     """Return the figures of live tracking, for a terminal."""
     left_out = summary["left_out_reasons"].items()
-    rows = [(f"left out: {reason}", str(count)) for reason, count in left_out]
+    rows = [(f"left out: {reason}", count) for reason, count in left_out]
     for mode, count in summary["modes"].items():
-        rows.append((f"volumes after which the mode was {mode}", str(count)))
+        rows.append((f"volumes after which the mode was {mode}", count))
     return figures_table(summary, "this stream", _LIVE_ROWS, *rows)
 
 
-def findings_table(findings: Sequence[Finding]) -> Table:
+def findings_table(findings: Sequence[Finding]) -> TerminalTable:
     """Return what a source was found to be, and what to do, for a terminal."""
-    table = Table(show_lines=False)
-    table.add_column("check")
-    table.add_column("found")
-    table.add_column("what to do")
+    table = TerminalTable("check", "found", "what to do")
     styles = {Grade.FINE: "", Grade.DOUBTFUL: "yellow", Grade.WRONG: "bold red"}
     for each in sort_findings(findings):
         cells = (each.check.value, each.text, each.advice)
@@ -162,19 +153,14 @@ def findings_table(findings: Sequence[Finding]) -> Table:
     return table
 
 
-def pose_error_table(figures: Mapping[str, Any]) -> Table:
+def pose_error_table(figures: Mapping[str, Any]) -> TerminalTable:
     """Return the errors of a recording's poses with their standard deviations, for a terminal."""
-    table = Table(title="Errors of the poses", caption="x: lateral, y: depth, z: elevation")
-    table.add_column("quantity")
-    table.add_column("estimate", justify="right")
-    table.add_column("standard deviation", justify="right")
-    delay = format_figure(figures["delay_ms"]), format_figure(figures["delay_std_ms"])
-    table.add_row("delay, ms", *delay)
+    rows = [["delay, ms", figures["delay_ms"], figures["delay_std_ms"]]]
     for name, label, unit in (
         ("translation", "image displaced along", "mm"),
         ("rotation", "image turned about", "deg"),
     ):
-        for i, axis in enumerate("xyz"):
-            each = figures[f"{name}_{unit}"][i], figures[f"{name}_std_{unit}"][i]
-            table.add_row(f"{label} {axis}, {unit}", *map(format_figure, each))
-    return table
+        errors = zip("xyz", figures[f"{name}_{unit}"], figures[f"{name}_std_{unit}"], strict=True)
+        rows += [[f"{label} {axis}, {unit}", *each] for axis, *each in errors]
+    table = Table(["quantity", "estimate", "standard deviation"], rows)
+    return table.terminal("Errors of the poses", "x: lateral, y: depth, z: elevation", widest=None)

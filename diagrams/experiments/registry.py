@@ -16,8 +16,8 @@ from sonoservo.systems.files.typed_yaml import (
     merged,
     read_yaml,
     suggest,
-    without_numpy,
 )
+from sonoservo.systems.files.writing import to_plain
 
 if TYPE_CHECKING:
     from sonoservo.diagrams.experiments.experiment import Experiment
@@ -76,7 +76,7 @@ def describe_scenarios() -> dict[str, str]:
 
 
 def load_scenario(
-    scenario: "Scenario | str | Path",
+    scenario: "Scenario | str | Path | Mapping[str, Any]",
     *,
     changes: Mapping[str, Any] | Sequence[str] | None = None,
     seed: int | None = None,
@@ -87,7 +87,7 @@ def load_scenario(
     Parameters
     ----------
     scenario
-        Name of a built-in scenario, path of a YAML file, or a scenario to change.
+        Name of a built-in scenario, path of a YAML file, its data, or a scenario to change.
     changes
         Fields to change: values by dotted path, ``{"imaging.gain": 0.5}``, or assignments
         ``"path.to.field=value"`` with the value in YAML.
@@ -112,7 +112,9 @@ def load_scenario(
     if isinstance(scenario, Scenario):
         if changes is None and seed is None:
             return scenario
-        return _load(yaml.safe_load(scenario.to_yaml()), scenario.name, changes, seed)
+        scenario = yaml.safe_load(scenario.to_yaml())
+    if isinstance(scenario, Mapping):
+        return _load(dict(scenario), str(scenario.get("name")), changes, seed)
     if not isinstance(scenario, str | Path):
         raise ConfigurationError(
             f"scenario: a value of type {type(scenario).__name__}; expected the name of a built-in "
@@ -152,7 +154,7 @@ def _change(
     """Apply changes to a scenario's data, and its seed."""
     apply_changes(data, changes)
     if seed is not None:
-        data["seed"] = without_numpy(seed)
+        data["seed"] = to_plain(seed, for_json=False)
 
 
 def _needle_of(data: Mapping[str, Any]) -> tuple[Any, Any]:
@@ -173,7 +175,7 @@ def _of_needle(data: Mapping[str, Any]) -> dict[str, Any]:
     )
 
     if data["needle"] == DRAWN:
-        return draw_needle(without_numpy(data.get("seed", 0)))
+        return draw_needle(to_plain(data.get("seed", 0), for_json=False))
     kind = load_needle(data["needle"])
     return {"hand": {"gauge": kind.gauge}, "scanner": {"needle": asdict(kind.echo)}}
 

@@ -2,9 +2,8 @@
 
 import re
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,10 +23,10 @@ from sonoservo.systems.files.volume_file import (
     HoldsFramesError,
     VolumeFile,
     check_layout,
+    data_files,
     decode_header,
-    existing_file,
-    joined,
-    listed_files,
+    open_data,
+    voxel_reader,
 )
 
 SPACES = {
@@ -72,18 +71,7 @@ KEYS = {
 """Keys of 3D Slicer and this program, and what becomes of them; the first three follow ``axis N``.
 Those of PLUS are the `plus_fields`."""
 
-_SYNONYMS = {
-    "centerings": "centers",
-    "datafile": "data file",
-    "lineskip": "line skip",
-    "byteskip": "byte skip",
-    "blocksize": "block size",
-    "oldmin": "old min",
-    "oldmax": "old max",
-    "axismins": "axis mins",
-    "axismaxs": "axis maxs",
-    "sampleunits": "sample units",
-}
+_NAMES = {name.replace(" ", ""): name for name in FIELDS} | {"centerings": "centers"}
 
 _TYPES = {
     "u1": ("uchar", "unsigned char", "uint8", "uint8_t"),
@@ -158,7 +146,7 @@ def _add_field(path: Path, fields: dict[str, str], line: str) -> None:
     if not colon:
         field, colon, value = line.partition(":")
     name = field.strip().lower()
-    name = _SYNONYMS.get(name, name)
+    name = _NAMES.get(name.replace(" ", ""), name)
     if not colon:
         raise ConfigurationError(f"{path}: {line[:60]!r} is no field of an NRRD header")
     value = value.strip()
@@ -207,31 +195,13 @@ class _Reader:
         if listed == 0 and count > 1:
             require_memory(size, str(self.path), f"{count} volumes with the list axis first")
             data = _turned_round(data, nx * ny * nz, count, dtype.itemsize)
-
-        def read(number: int) -> NDArray[Any]:
-            step = nx * ny * nz * channels * dtype.itemsize
-            numbers = np.frombuffer(data.read(number * step, step), dtype)
-            if channels == 1:
-                return numbers.reshape((nx, ny, nz), order="F")
-            if coloured != 0:
-                return numbers.reshape((nx, ny, nz, channels), order="F")
-            return np.moveaxis(numbers.reshape((channels, nx, ny, nz), order="F"), 0, -1)
-
+        times = None if listed is None else self._times(listed, count)
+        known = unknown_fields("NRRD", (_AXIS.sub("", name) for name in header), FIELDS | KEYS)
         return VolumeFile(
-            self.path,
-            (nx, ny, nz),
-            count,
-            directions,
-            origin,
-            read,
-            None if listed is None else self._times(listed, count),
-            dict(header),
-            (
-                *self.notes,
-                *unknown_fields("NRRD", (_AXIS.sub("", name) for name in header), FIELDS | KEYS),
-            ),
-            channels,
-        )
+            self.path, shape, count, directions, origin,
+            voxel_reader(data, dtype, shape, channels, last=coloured != 0), times, dict(header),
+            (*self.notes, *known), channels,
+        )  # fmt: skip
 
     def entries(self, field: str) -> list[str]:
         """Return the words of a field with one for each axis; quoted words may hold blanks."""
@@ -295,8 +265,8 @@ class _Reader:
             raise self.refuse(field, "it holds vectors (x,y,z)")
         return np.array([row or [np.nan] * width for row in rows])
 
-    def _scales(self) -> tuple[NDArray[np.float64], str]:
-        """Return (3,) factors that turn the space's coordinates into mm in LPS, and its name."""
+    def _scales(self) -> NDArray[np.float64]:
+        """Return (3,) factors that turn the space's coordinates into mm in LPS."""
         name = self.header.get("space", "").strip().lower()
         base = name.removesuffix("-time")
         base = {"rast": "ras", "last": "las", "lpst": "lps"}.get(base, base)
@@ -313,11 +283,11 @@ class _Reader:
                 f"{self.path}: space units: {units} are not allowed; use mm, cm, m or um"
             )
         scales = [*scales, 1.0][:3]
-        return np.array(SPACES.get(base, (1, 1, 1)), float) * scales, name
+        return np.asarray(np.array(SPACES.get(base, (1, 1, 1)), float) * scales)
 
     def _geometry(self, spatial: list[int]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the (3, 3) steps along the axes as columns, and the (3,) origin, in mm, in LPS."""
-        scale, _ = self._scales()
+        scale = self._scales()
         n = len(spatial)
         vectors = self._vectors("space directions")
         origins = self._vectors("space origin")
@@ -386,48 +356,41 @@ class _Reader:
             raise self.refuse(field, f"{len(self.sizes)} axes have as many numbers")
         return np.array([np.nan if word in ("none", "???") else float(word) for word in words])
 
-    def _data(self, size: int) -> DataSection | DataSections:
+    def _data(self, size: int) -> DataSections:
         encoding = self.header.get("encoding", "").lower()
         if encoding not in ("raw", "gzip", "gz"):
             raise ConfigurationError(
                 f"{self.path}: encoding: {encoding!r} is not supported; use raw or gzip"
             )
-        compression = "gzip" if encoding.startswith("gz") else ""
+        compressed = encoding.startswith("gz")
         lines, skip = (int(self.header.get(each, "0")) for each in ("line skip", "byte skip"))
-        if lines < 0 or skip < -1 or (skip == -1 and compression):
+        if lines < 0 or skip < -1 or (skip == -1 and compressed):
             raise self.refuse(
                 "line skip" if lines < 0 else "byte skip", "-1 is for raw data, else from 0"
             )
-        sources = self._data_files()
-        each = size // len(sources)
-        if each * len(sources) != size:
-            raise self.refuse("data file", f"{len(sources)} files do not share the voxels evenly")
-        sections = []
-        for source in sources:
-            offset = _after_lines(source, self.offset if source == self.path else 0, lines)
-            if skip == -1:  # the voxels are the last bytes
-                offset = max(source.stat().st_size - each, 0)
-            elif not compression:
-                offset += skip
-            inside = skip if compression else 0
-            sections.append(DataSection(source, offset, each, compression=compression, skip=inside))
-        return joined(sections, each)
 
-    def _data_files(self) -> Sequence[Path]:
+        def first(file: Path, each: int) -> int:
+            if skip == -1:  # the voxels are the last bytes
+                return max(file.stat().st_size - each, 0)
+            start = _after_lines(file, self.offset if file == self.path else 0, lines)
+            return start if compressed else start + skip
+
+        files, inside = self._data_files(), skip if compressed else 0
+        return open_data(
+            self.path, "data file", files, size, first, compressed=compressed, skip=inside
+        )
+
+    def _data_files(self) -> list[Path]:
         name = self.header.get("data file")
         if name is None:
             return [self.path]
-        words = name.split()
-        if words[:1] == ["LIST"]:
-            if not self.names:
-                raise self.refuse("data file", "the names of the files follow in the next lines")
-            self._check_pieces(int(words[1]) if len(words) > 1 else None, len(self.names))
-            return [existing_file(self.path, "data file", each) for each in self.names]
-        if "%" in name and not (self.path.parent / name).is_file():
-            files = listed_files(self.path, "data file", words)
-            self._check_pieces(int(words[4]) if len(words) > 4 else None, len(files))
-            return files
-        return [existing_file(self.path, "data file", name)]
+        files, words = data_files(self.path, "data file", name, self.names), name.split()
+        if words[0] == "LIST" and not files:
+            raise self.refuse("data file", "the names of the files follow in the next lines")
+        if words[0] == "LIST" or len(files) > 1:
+            axes = words[1:] if words[0] == "LIST" else words[4:]
+            self._check_pieces(int(axes[0]) if axes else None, len(files))
+        return files
 
     def _check_pieces(self, dimension: int | None, count: int) -> None:
         """Refuse files that are not slices along the last axes."""
@@ -491,9 +454,7 @@ def _after_lines(path: Path, offset: int, lines: int) -> int:
         return file.tell()
 
 
-def _turned_round(
-    data: DataSection | DataSections, voxels: int, count: int, itemsize: int
-) -> DataSection:
+def _turned_round(data: DataSections, voxels: int, count: int, itemsize: int) -> DataSections:
     """Copy data whose list axis varies fastest to a temporary file in which it varies slowest."""
     with tempfile.NamedTemporaryFile(prefix="sonoservo-") as file:
         step = max(1, _BLOCK // (count * itemsize))
@@ -506,4 +467,4 @@ def _turned_round(
                 file.write(column.tobytes())
         file.flush()
         # The open file remains readable after its name is removed.
-        return DataSection(Path(file.name), 0, voxels * size)
+        return DataSections([DataSection(Path(file.name), 0, voxels * size)], voxels * size)

@@ -189,19 +189,19 @@ class DataSection:
     """Raw or compressed data of a file, read by pieces; sizes are those uncompressed."""
 
     def __init__(
-        self, path: Path, offset: int, size: int, *, compression: str = "", skip: int = 0
+        self, path: Path, offset: int, size: int, *, compressed: bool = False, skip: int = 0
     ) -> None:
         self._path = path
         self._offset = offset
         self._size = size
-        self._compression = compression
+        self._compressed = compressed
         self._skip = skip
         present = path.stat().st_size - offset
-        if size + skip > present * (MAX_DEFLATED if compression else 1):
+        if size + skip > present * (MAX_DEFLATED if compressed else 1):
             raise ConfigurationError(
                 f"{path}: truncated, or its header is wrong: the header announces {size} bytes of "
                 f"voxels, the file has {max(present, 0)}"
-                + (" compressed bytes" if compression else "")
+                + (" compressed bytes" if compressed else "")
             )
         self._file = path.open("rb")
         self._rewind()
@@ -210,7 +210,7 @@ class DataSection:
         """Return ``size`` bytes from ``start`` on; reading forwards is fast."""
         first = start + self._skip
         with refusing_failures(self._path, "damaged or truncated"):
-            if not self._compression:
+            if not self._compressed:
                 self._file.seek(self._offset + first)
                 data = self._file.read(size)
             else:
@@ -274,9 +274,53 @@ class DataSections:
         return b"".join(pieces)
 
 
-def joined(sections: Sequence[DataSection], size: int) -> DataSection | DataSections:
-    """Return data in one or several files, each with so many bytes."""
-    return sections[0] if len(sections) == 1 else DataSections(sections, size)
+def open_data(
+    path: Path,
+    field_name: str,
+    files: Sequence[Path],
+    size: int,
+    first: Callable[[Path, int], int],
+    *,
+    compressed: bool = False,
+    skip: int = 0,
+) -> DataSections:
+    """Open so many bytes of data that files share evenly.
+
+    ``first`` returns the offset of a file's data from its path and their size; ``skip`` counts
+    uncompressed bytes before them.
+    """
+    each = size // max(len(files), 1)
+    if each * len(files) != size or not files:
+        raise ConfigurationError(
+            f"{path}: {field_name}: {len(files)} files do not share the voxels evenly"
+        )
+    sections = [
+        DataSection(file, first(file, each), each, compressed=compressed, skip=skip)
+        for file in files
+    ]
+    return DataSections(sections, each)
+
+
+def voxel_reader(
+    data: DataSections,
+    dtype: "np.dtype[Any]",
+    shape: tuple[int, int, int],
+    channels: int = 1,
+    *,
+    last: bool = False,
+) -> Callable[[int], NDArray[Any]]:
+    """Return the reader of `VolumeFile.read`; the channels vary first in the file, or ``last``."""
+    size = math.prod(shape) * channels * dtype.itemsize
+
+    def read(number: int) -> NDArray[Any]:
+        numbers = np.frombuffer(data.read(number * size, size), dtype)
+        if channels == 1:
+            return numbers.reshape(shape, order="F")
+        if last:
+            return numbers.reshape((*shape, channels), order="F")
+        return np.moveaxis(numbers.reshape((channels, *shape), order="F"), 0, -1)
+
+    return read
 
 
 def number_or_nan(text: str | None) -> float:
@@ -295,23 +339,30 @@ def decode_header(data: bytes) -> str:
         return data.decode("latin-1")
 
 
-def listed_files(path: Path, field_name: str, words: Sequence[str]) -> list[Path]:
-    """Return the files that a pattern names: its text, first number, last number and step."""
-    pattern, numbers = words[0], [int(word) for word in words[1:4]]
+def data_files(path: Path, field_name: str, source: str, names: Sequence[str]) -> list[Path]:
+    """Return the data files that a header names: by a name, a pattern, or a LIST of ``names``.
+
+    A pattern is followed by its first and last number, and perhaps the step.
+    """
+    words = source.split()
+    if words[:1] == ["LIST"]:
+        return [_existing_file(path, field_name, each) for each in names]
+    if "%" not in source or (path.parent / source).is_file():
+        return [_existing_file(path, field_name, source)]
+    numbers = [int(word) for word in words[1:4]]
     first, last, step = (*numbers, 1)[:3] if len(numbers) >= 2 else (0, -1, 1)
-    if step == 0 or not _PATTERN.fullmatch(pattern) or (last - first) // step + 1 > MAX_FILES:
+    if step == 0 or not _PATTERN.fullmatch(words[0]) or (last - first) // step + 1 > MAX_FILES:
         raise ConfigurationError(
-            f"{path}: {field_name}: {' '.join(words)!r} is not allowed; a pattern such as "
+            f"{path}: {field_name}: {source!r} is not allowed; a pattern such as "
             "slice%03d.raw is followed by its first and last number and perhaps the step"
         )
     stop = last + (1 if step > 0 else -1)
     return [
-        existing_file(path, field_name, pattern % number) for number in range(first, stop, step)
+        _existing_file(path, field_name, words[0] % number) for number in range(first, stop, step)
     ]
 
 
-def existing_file(path: Path, field_name: str, name: str) -> Path:
-    """Return the path of a data file that a header names, relative to the header's folder."""
+def _existing_file(path: Path, field_name: str, name: str) -> Path:
     beside = path.parent / name
     if "\0" in name or not name or not beside.is_file():
         raise ConfigurationError(f"{path}: {field_name}: there is no file {name!r}")

@@ -12,9 +12,9 @@ from sonoservo.systems.signals.requirements import (
     NotNegative,
     Positive,
     PositiveTime,
+    Time,
     check_bounds,
     require,
-    require_time,
     require_within,
     within,
 )
@@ -198,7 +198,7 @@ class InsertionParameters:
     bend_drift_spread_deg: NotNegative = 0.0
     curvature_wander: NotNegative = 0.0
     wander_length: Positive = 0.02
-    start: float | None = None
+    start: Time | None = None
     pushes: list[Push] = field(default_factory=list)
     ramp: Positive = 0.5
     tremor: NotNegative = 0.0
@@ -225,7 +225,6 @@ class InsertionParameters:
         )
         require(abs(self.dip_deg) <= 90, "dip_deg", self.dip_deg, "from -90 to 90 deg")
         check_bounds(self)
-        require_time(start=self.start or 0.0)
         require_within("initial_depth", self.initial_depth or 0.0, 0, _MAX_LENGTH)
         require_rising(self.rotations)
         gaps = np.diff([0.0, *self.rotations])

@@ -18,15 +18,14 @@ from sonoservo.systems.files.volume_file import (
     MAX_HEADER,
     MAX_STEP,
     MILLIMETRES,
-    DataSection,
     DataSections,
     FieldUse,
     VolumeFile,
     check_layout,
+    data_files,
     decode_header,
-    existing_file,
-    joined,
-    listed_files,
+    open_data,
+    voxel_reader,
 )
 
 _TYPES = {
@@ -116,25 +115,16 @@ def _describe(
     directions = matrix[:3, :3].T * steps[:3] * unit
     check_layout(path, (nx, ny, nz), count, directions, frames=frames)
     dtype = np.dtype((">" if _flag(fields, _BIG_ENDIAN, False) else "<") + _TYPES[kind])
-    voxels = nx * ny * nz
-    size = voxels * channels * dtype.itemsize
+    size = nx * ny * nz * channels * dtype.itemsize
     data = _open_data(path, fields, names, offset, size * count)
     slope, shift = (
-        float(
-            _numbers(path, fields, (f"ElementToIntensityFunction{each}",), np.array([default]), 1)[
-                0
-            ]
-        )
-        for each, default in (("Slope", 1.0), ("Offset", 0.0))
+        float(_numbers(path, fields, (f"ElementToIntensityFunction{each}",), default, 1)[0])
+        for each, default in (("Slope", np.ones(1)), ("Offset", np.zeros(1)))
     )
+    read = voxel_reader(data, dtype, (nx, ny, nz), channels)
 
-    def read(number: int) -> NDArray[Any]:
-        numbers = np.frombuffer(data.read(number * size, size), dtype)
-        if (slope, shift) != (1.0, 0.0):
-            numbers = numbers * slope + shift
-        if channels == 1:
-            return numbers.reshape((nx, ny, nz), order="F")
-        return np.moveaxis(numbers.reshape((channels, nx, ny, nz), order="F"), 0, -1)
+    def rescaled(number: int) -> NDArray[Any]:
+        return read(number) * slope + shift
 
     notes = list(unknown_fields("MetaImage", fields, FIELDS))
     if not frames:
@@ -149,7 +139,8 @@ def _describe(
         if "Seq_Frame0000_Timestamp" not in fields:
             notes.append(f"its volumes are {steps[3]:g} s apart, by the spacing of its fourth axis")
     return VolumeFile(
-        path, (nx, ny, nz), count, directions, origin[:3] * unit, read, times, fields,
+        path, (nx, ny, nz), count, directions, origin[:3] * unit,
+        read if (slope, shift) == (1.0, 0.0) else rescaled, times, fields,
         tuple(notes), channels,
     )  # fmt: skip
 
@@ -219,35 +210,22 @@ def _flag(fields: dict[str, str], names: tuple[str, ...], default: bool) -> bool
 
 def _open_data(
     path: Path, fields: dict[str, str], names: list[str], offset: int, size: int
-) -> DataSection | DataSections:
+) -> DataSections:
     compressed = _flag(fields, ("CompressedData",), False)
-    source, words = fields["ElementDataFile"], fields["ElementDataFile"].split()
-    field = "ElementDataFile"
-    if words[:1] == ["LIST"]:
-        files = [existing_file(path, field, each) for each in names]
-    elif "%" in source and len(words) > 1 and not (path.parent / source).is_file():
-        files = listed_files(path, field, words)
-    elif source.upper() == "LOCAL":
-        files = [path]
-    else:
-        files, offset = [existing_file(path, field, source)], 0
-    if files != [path]:
-        offset = 0
+    source, field = fields["ElementDataFile"], "ElementDataFile"
+    local = source.upper() == "LOCAL"
+    files = [path] if local else data_files(path, field, source, names)
+    offset = offset if local else 0
     skip = fields.get("HeaderSize", "0")
     if skip != "-1" and not (skip.isdecimal() and len(skip) < 18):
         raise ConfigurationError(f"{path}: HeaderSize: {skip!r} is not allowed")
     if sequence_field(fields, "HeaderSizePerSlice") not in ("", "0"):
         raise ConfigurationError(f"{path}: HeaderSizePerSlice: bytes between slices are not read")
-    if not files or size % len(files) or (compressed and len(files) > 1):
-        raise ConfigurationError(
-            f"{path}: {field}: {len(files)} files do not share the voxels evenly, or are "
-            "compressed, which is not supported"
-        )
-    each = size // len(files)
-    sections = []
-    for file in files:
+    if compressed and len(files) > 1:
+        raise ConfigurationError(f"{path}: {field}: several compressed files are not supported")
+
+    def first(file: Path, each: int) -> int:
         # With -1, the voxels are the last bytes.
-        first = max(file.stat().st_size - each, 0) if skip == "-1" else offset + int(skip)
-        compression = "zlib" if compressed else ""
-        sections.append(DataSection(file, first, each, compression=compression))
-    return joined(sections, each)
+        return max(file.stat().st_size - each, 0) if skip == "-1" else offset + int(skip)
+
+    return open_data(path, field, files, size, first, compressed=compressed)

@@ -11,14 +11,8 @@ from pydrake.math import RigidTransform, RotationMatrix
 from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
 from sonoservo.systems.files.volume_file import SCALE, VolumeFile, check_grid
 from sonoservo.systems.recording.file_grid import FileGrid, make_file_grid
-from sonoservo.systems.recording.formats import open_file
-from sonoservo.systems.recording.grey_levels import (
-    GreyWindow,
-    read_numbers,
-    require_echoes,
-    void_flags,
-    window_of_first,
-)
+from sonoservo.systems.recording.file_items import FileItems
+from sonoservo.systems.recording.grey_levels import GreyWindow, void_flags
 from sonoservo.systems.recording.side_files import (
     ACQUISITION,
     Acquisition,
@@ -26,19 +20,15 @@ from sonoservo.systems.recording.side_files import (
     side_path,
 )
 from sonoservo.systems.recording.transform_chain import find_chain
-from sonoservo.systems.recording.valid_frames import choose_items, frame_times
 from sonoservo.systems.signals.immutable import seal
 from sonoservo.systems.signals.requirements import require_within
 from sonoservo.systems.signals.sweep import DECIBELS_PER_LEVEL, DYNAMIC_RANGE_DB
 from sonoservo.systems.signals.volume import Volume
 
-_VOLUME_RATES = 1e-3, 1e4  # Limits of the rate of volumes, in Hz
-# Numbers of first volumes among which those are that choose the grey levels, and of these.
-_LOOKS, _ENOUGH = 16, 4
 _ASKEW = 0.1  # Largest deviation of R^T R from the identity; 0.1 is a right angle that is 6 deg off
 
 
-class Recording:
+class Recording(FileItems):
     """Volumes in a file, read on demand, one at a time.
 
     Without poses of the probe, the world frame W is the file's own frame L: LPS, in m.
@@ -71,12 +61,6 @@ class Recording:
 
     Attributes
     ----------
-    times
-        (n,) times of the volumes, in s.
-    skipped
-        Number of volumes left out: marked as invalid, or without a pose or a time in order.
-    notes
-        What a person should know about how the file was read, each a sentence.
     posed
         Whether the file contains the probe's poses.
     settings
@@ -102,54 +86,41 @@ class Recording:
         void: float | None = None,
         luminance: bool = False,
     ) -> None:
-        self.path = Path(path)
-        with refusing_failures(self.path):
-            self._file = file = open_file(self.path, orientation=orientation)
-            require_echoes(file, luminance)
+        with refusing_failures(path):
+            super().__init__(path, orientation, void, luminance)
+            file = self.file
             self._acquisition = self._read_acquisition(depth)
-            self._void = file.void if void is None else void
-            frames, constants = file.frame_fields(), dict(transforms or {})
-            chain = None
+            constants, chain = dict(transforms or {}), None
             if self._acquisition is None:
-                names = [name for name in frames if name.endswith("Transform")]
+                names = [name for name in self._fields if name.endswith("Transform")]
                 chain = find_chain(self.path, [*names, *constants] if names else [], poses)
+                times = self._stated_times(volume_rate)
+            else:
+                times = np.array(self._acquisition.times[: file.count])
             self.posed = bool(self._acquisition) or chain is not None
             self.settings: dict[str, Any] = self._acquisition.settings if self._acquisition else {}
             self._decibels_per_level = self._scale(dynamic_range_db)
-            items = choose_items(
-                self.path, file.count, frames, chain, constants,
-                self._file_times(frames, volume_rate),
-            )  # fmt: skip
-            directions, origin = _spacing_of_volumes(self.path, frames, file)
+            matrices = self._choose(chain, constants, times)
+            directions, origin = _spacing_of_volumes(self.path, self._fields, file)
             if chain is not None and chain.start.startswith("Image"):
-                directions, origin = _pixel_grid(directions, origin, items.matrices[0])
+                directions, origin = _pixel_grid(directions, origin, matrices[0])
             check_grid(self.path, file.shape, directions, origin)
             self._grid: FileGrid = make_file_grid(directions, origin, file.shape, depth)
-            self._numbers, self.times = items.numbers, items.times
-            self.skipped = file.count - len(self._numbers)
             self._poses = {}
             if chain is not None:
                 pixels = np.eye(4)
                 if chain.start.startswith("Image"):  # its coordinates are voxels, not mm
                     pixels[:3, :3], pixels[:3, 3] = directions, origin
                 self._poses = {
-                    int(k): _rigid(self.path, str(chain), matrix @ np.linalg.inv(pixels))
-                    for k, matrix in zip(items.numbers, items.matrices, strict=True)
+                    k: _rigid(self.path, str(chain), matrix @ np.linalg.inv(pixels))
+                    for k, matrix in zip(self.numbers, matrices, strict=True)
                 }
-            self.notes = [
-                *file.notes,
-                *([f"poses: {chain}"] if chain else []),
-                *items.note("volume"),
-            ]
-            self._window = self._choose_window(GreyWindow(*window) if window else None)
-
-    @property
-    def file(self) -> VolumeFile:
-        """The file as its header describes it."""
-        return self._file
-
-    def __len__(self) -> int:
-        return len(self._numbers)
+            if window is not None:
+                self._window = GreyWindow(*window)
+            elif self._acquisition is not None:
+                self._window = GreyWindow(0, 255)  # this program's recorder writes grey levels
+            else:
+                self._window = self._choose_window()
 
     def __iter__(self) -> Iterator[Volume]:
         return (self[k] for k in range(len(self)))
@@ -160,8 +131,8 @@ class Recording:
             return self._read(number)
 
     def _read(self, number: int) -> Volume:
-        k = int(self._numbers[number])
-        voxels = self._voxels(k)
+        k = self.numbers[number]
+        voxels = self._pixels(k)
         void = void_flags(voxels, self._void)
         grey = seal(self._window.grey(voxels, void))
         if self._acquisition is not None:
@@ -188,44 +159,24 @@ class Recording:
 
     def X_WL(self, number: int) -> RigidTransform:
         """Return the pose in W of the file's frame L (LPS, in m) when a volume was acquired."""
-        k = int(self._numbers[number])
+        k = self.numbers[number]
         if self._acquisition is not None:
             return self._acquisition.poses[k] @ self._grid.X_LP.inverse()
         return self._poses.get(k, RigidTransform())
 
-    def _voxels(self, k: int) -> NDArray[Any]:
+    def _pixels(self, number: int) -> NDArray[Any]:
         """Return the file's numbers of a volume with the index [x, y, z] in P."""
-        return self._grid.arrange(read_numbers(self._file, k))
-
-    def _choose_window(self, window: GreyWindow | None) -> GreyWindow:
-        """Return the window that all volumes share, and note how it was chosen."""
-        if window is not None:
-            return window
-        if self._acquisition is not None:
-            return GreyWindow(0, 255)  # this program's recorder writes grey levels
-        looks = [int(k) for k in self._numbers[:_LOOKS]]
-        chosen, blank = window_of_first(map(self._voxels, looks), _ENOUGH)
-        first = self._voxels(looks[0])
-        void = void_flags(first, self._void)
-        if void is not None and void.all() and blank == len(self._numbers):
-            raise ConfigurationError(
-                f"{self.path}: volume {looks[0]} holds values that are not finite, or stand for "
-                "what was not seen, and so do all others"
-            )
-        if first.dtype != np.uint8:
-            said = f"grey levels: {chosen.low:g} is black and {chosen.high:g} white (--window)"
-            self.notes.append(said + (f"; {blank} blank volumes did not choose" if blank else ""))
-        return chosen
+        return self._grid.arrange(super()._pixels(number))
 
     def _read_acquisition(self, depth: str) -> Acquisition | None:
         path = side_path(self.path, ACQUISITION)
         if not path.is_file():
             return None
-        file = self._file
+        file = self.file
         check_grid(self.path, file.shape, file.directions, file.origin)
         grid = make_file_grid(file.directions, file.origin, file.shape, depth)
         exact = read_acquisition(path)
-        if len(exact.times) < self._file.count or not (
+        if len(exact.times) < self.file.count or not (
             np.allclose(exact.origin, grid.origin, atol=1e-9)
             and np.allclose(exact.spacing, grid.spacing, atol=1e-9)
         ):
@@ -239,29 +190,9 @@ class Recording:
             return dynamic_range_db / 255
         noted = self._acquisition.decibels_per_level if self._acquisition else None
         if noted is None:
-            noted = float(self._file.fields.get(SCALE, DECIBELS_PER_LEVEL))
+            noted = float(self.file.fields.get(SCALE, DECIBELS_PER_LEVEL))
         require_within(SCALE, noted, *(limit / 255 for limit in DYNAMIC_RANGE_DB))
         return noted
-
-    def _file_times(
-        self, frames: Mapping[str, Mapping[int, str]], volume_rate: float | None
-    ) -> NDArray[np.float64]:
-        count = self._file.count
-        if self._acquisition is not None:
-            return np.array(self._acquisition.times[:count])
-        if volume_rate is not None:
-            require_within("volume rate", volume_rate, *_VOLUME_RATES)
-            return np.arange(count) / volume_rate
-        if "Timestamp" in frames:
-            return frame_times(count, frames["Timestamp"])
-        if self._file.times is not None:
-            return self._file.times
-        if count > 1:
-            raise ConfigurationError(
-                f"{self.path}: the times of its volumes are missing; give their rate "
-                "(--volume-rate)"
-            )
-        return np.zeros(1)
 
 
 def _spacing_of_volumes(

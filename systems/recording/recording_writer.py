@@ -2,10 +2,11 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
+from sonoservo.systems.files.writing import Closing
 from sonoservo.systems.recording.sequence_writer import SUFFIX, SequenceWriter
 from sonoservo.systems.recording.side_files import (
     ACQUISITION,
@@ -18,7 +19,7 @@ from sonoservo.systems.signals.sweep import Sweep
 from sonoservo.systems.signals.volume import Volume
 
 
-class RecordingWriter:
+class RecordingWriter(Closing):
     """Writes volumes one by one to ``NAME.seq.nrrd`` and ``NAME.acquisition.jsonl``.
 
     The voxels have the coordinates that `write_volume` gives them. A volume's time is its index
@@ -48,12 +49,6 @@ class RecordingWriter:
         self._volumes: SequenceWriter | None = None
         self._acquisition: LinesWriter | None = None
         self._grid: dict[str, Any] = {}
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
 
     def append(self, volume: Volume) -> None:
         """Write a volume, with the grid, scale of grey levels and point spread of the first one."""

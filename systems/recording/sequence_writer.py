@@ -3,12 +3,12 @@
 import shutil
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.systems.files.writing import claim, naming, replacing, write_atomically
+from sonoservo.systems.files.writing import Closing, claim, naming, replacing, write_atomically
 
 SUFFIX = ".seq.nrrd"
 """Suffix by which 3D Slicer recognises a sequence."""
@@ -16,7 +16,7 @@ SUFFIX = ".seq.nrrd"
 _TYPE_NAMES = {"uint8": "uint8", "float32": "float"}
 
 
-class SequenceWriter:
+class SequenceWriter(Closing):
     """Writes a ``.seq.nrrd`` file with the list axis last, as 3D Slicer does today.
 
     The format's header precedes the data and holds the number of arrays. During writing, data and
@@ -43,12 +43,6 @@ class SequenceWriter:
         claim(self._data.fileno(), path, "another file")
         self._data.truncate(0)
         self.partial_header.unlink(missing_ok=True)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
 
     def __len__(self) -> int:
         return len(self._times)

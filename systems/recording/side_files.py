@@ -10,7 +10,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ from pydrake.math import RigidTransform
 from sonoservo.systems.files.memory import require_memory
 from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
 from sonoservo.systems.files.volume_file import MAX_POSITION
-from sonoservo.systems.files.writing import claim, naming
+from sonoservo.systems.files.writing import Closing, claim, naming
 from sonoservo.systems.recording.sequence_writer import SUFFIX, partial_path
 from sonoservo.systems.recording.valid_frames import check_times, require_homogeneous
 from sonoservo.systems.signals.needle import Needle
@@ -55,7 +55,7 @@ def side_path(recording: Path, suffix: str) -> Path:
     return recording.with_name(name + suffix)
 
 
-class LinesWriter:
+class LinesWriter(Closing):
     """Writes a JSON Lines file beside a recording; its first line gets the format version."""
 
     def __init__(self, recording: Path, suffix: str, first: dict[str, Any]) -> None:
@@ -67,12 +67,6 @@ class LinesWriter:
         claim(self._file.fileno(), self._path, "another file")
         self._file.truncate(0)
         self.append({"format": FORMAT, **first})
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
 
     def append(self, line: dict[str, Any]) -> None:
         """Write a line."""

@@ -1,11 +1,10 @@
 """The leaf that keeps every volume of a run in memory."""
 
-from pydrake.common.value import Value
-from pydrake.systems.framework import Context, LeafSystem, ValueProducer
+from pydrake.systems.framework import Context, LeafSystem
 
 from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.leaves import declare_looks, declare_memory
 from sonoservo.systems.signals.ports import declare_inputs, evaluate
-from sonoservo.systems.signals.requirements import require_not_negative, require_positive
 from sonoservo.systems.signals.volume import Volume
 
 
@@ -30,24 +29,16 @@ class VolumeCollector(LeafSystem):
 
     def __init__(self, *, period: float, offset: float = 0.0) -> None:
         super().__init__()
-        require_positive(period=period)
-        require_not_negative(offset=offset)
         declare_inputs(self, volume=(Volume, NotFound))
-        self._volumes = self.DeclareCacheEntry(
-            "volumes",
-            ValueProducer(lambda: Value[object]([]), ValueProducer.NoopCalc),
-            {self.nothing_ticket()},
-        )
-        self.DeclareInitializationPublishEvent(lambda context: self.volumes(context).clear())
-        self.DeclarePeriodicPublishEvent(period, offset, self._look)
-        self.DeclareForcedPublishEvent(self._look)
+        self._volumes = declare_memory(self, list[Volume])
+        declare_looks(
+            self, self._look, period=period, offset=offset,
+            start=lambda context: self.volumes(context).clear(),
+        )  # fmt: skip
 
     def volumes(self, context: Context) -> list[Volume]:
         """Return the volumes so far, in order of time."""
-        kept: list[Volume] = self._volumes.get_mutable_cache_entry_value(
-            context
-        ).GetMutableValueOrThrow()
-        return kept
+        return self._volumes(context)
 
     def _look(self, context: Context) -> None:
         volume = evaluate(self, context, "volume", (Volume, NotFound))

@@ -7,14 +7,15 @@ from typing import Any, Self
 
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform
-from pydrake.systems.framework import Context, LeafSystem, ValueProducer
+from pydrake.systems.framework import Context, LeafSystem
 
 from sonoservo.systems.recording.recording_writer import RecordingWriter, SweepWriter
 from sonoservo.systems.recording.side_files import TRUTH, LinesWriter
 from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.leaves import declare_looks, declare_memory
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.ports import declare_inputs, evaluate
-from sonoservo.systems.signals.requirements import require_not_negative, require_positive
+from sonoservo.systems.signals.requirements import require_positive
 from sonoservo.systems.signals.sweep import Sweep
 from sonoservo.systems.signals.volume import Volume
 
@@ -102,41 +103,29 @@ class VolumeRecorder(LeafSystem):
         truth_period: float = 1 / 32,
     ) -> None:
         super().__init__()
-        require_positive(period=period, truth_period=truth_period)
-        require_not_negative(offset=offset)
+        require_positive(truth_period=truth_period)
         RecordingWriter(path)  # refuses a wrong suffix before anything is simulated
         self._path, self._settings, self._sweeps = path, settings, sweeps
         self._newest: _Recording | None = None
-        self._run = self.DeclareCacheEntry(
-            "run",
-            ValueProducer(lambda: Value[object](_Run()), ValueProducer.NoopCalc),
-            {self.nothing_ticket()},
-        )
+        self._run = declare_memory(self, _Run)
         declare_inputs(self, volume=(Volume, NotFound), sweep=(Sweep, NotFound), needle=Needle)
         for name in ("X_WT", "true_X_WP"):
             self.DeclareAbstractInputPort(name, Value(RigidTransform()))
         self.DeclareVectorInputPort("contact_force", 1)
-        self.DeclareInitializationPublishEvent(self._start)
-        self.DeclarePeriodicPublishEvent(period, offset, self._record)
+        declare_looks(self, self._record, period=period, offset=offset, start=self._start)
         self.DeclarePeriodicPublishEvent(truth_period, 0.0, self._note_truth)
-        self.DeclareForcedPublishEvent(self._record)
 
     def close(self) -> None:
         """Give the files their final names; without any volume, no file is left."""
         if self._newest is not None:
             self._newest.close()
 
-    def _run_of(self, context: Context) -> _Run:
-        run = self._run.get_mutable_cache_entry_value(context).GetMutableValueOrThrow()
-        assert isinstance(run, _Run)
-        return run
-
     def _start(self, context: Context) -> None:
-        self._run_of(context).recording = None
+        self._run(context).recording = None
 
     def _recording(self, context: Context) -> _Recording:
         """Return the recording of a run, which is created by the first event that needs it."""
-        run = self._run_of(context)
+        run = self._run(context)
         if run.recording is None:
             self.close()
             run.recording = self._newest = _Recording(self._path, self._settings, self._sweeps)

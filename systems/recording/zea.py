@@ -1,13 +1,14 @@
 """Reader and writer of volumes in the HDF5 files of zea, a toolbox for cognitive ultrasound."""
 
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures, require_extra
 from sonoservo.systems.files.volume_file import SCALE, VolumeFile, check_layout, require_frames
+from sonoservo.systems.files.writing import Closing
 from sonoservo.systems.recording.valid_frames import matrix_text
 from sonoservo.systems.signals.volume import Volume
 
@@ -103,7 +104,7 @@ def _poses(file: Any, count: int) -> tuple[dict[str, str], NDArray[np.float64] |
     return fields, times
 
 
-class ZeaWriter:
+class ZeaWriter(Closing):
     """Writes volumes one by one as a file of zea, with times in s, and poses in m."""
 
     def __init__(self, path: str | Path) -> None:
@@ -113,12 +114,6 @@ class ZeaWriter:
         self._h5py = require_extra("h5py", "hdf5", path)
         self._file: Any = None
         self._grid: tuple[Any, ...] = ()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
 
     def append(self, volume: Volume, mask: NDArray[np.bool_] | None = None) -> None:
         """Write a volume on the first one's grid, and perhaps the mask of the needle in it."""

@@ -6,8 +6,8 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import JointIndex, MultibodyForces
 from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSystem, State
 
+from sonoservo.systems.signals.leaves import declare_memory
 from sonoservo.systems.signals.requirements import require_not_negative, require_positive
-from sonoservo.systems.signals.scratch_context import declare_scratch_context, scratch_context
 
 
 class ExternalTorque(LeafSystem):
@@ -52,7 +52,7 @@ class ExternalTorque(LeafSystem):
         joints = [plant.get_joint(JointIndex(i)) for i in range(plant.num_joints())]
         self._damping = np.concatenate([joint.default_damping_vector() for joint in joints])
         self._forces = MultibodyForces(plant)
-        self._scratch = declare_scratch_context(self, plant)
+        self._scratch = declare_memory(self, plant.CreateDefaultContext)
         self._state = self.DeclareVectorInputPort("joint_state", 2 * n)
         self._motors = self.DeclareVectorInputPort("motor_torque", n)
         self._before = self.DeclareDiscreteState(np.full(n, np.nan))  # velocities
@@ -74,7 +74,7 @@ class ExternalTorque(LeafSystem):
         if np.isnan(before[0]):  # nothing has moved yet
             output.SetFromVector(np.zeros(n))
             return
-        plant, scratch = self._plant, scratch_context(self._scratch, context)
+        plant, scratch = self._plant, self._scratch(context)
         plant.SetPositionsAndVelocities(scratch, state)
         self._forces.SetZero()
         plant.CalcForceElementsContribution(scratch, self._forces)

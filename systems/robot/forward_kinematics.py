@@ -6,7 +6,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import Frame
 from pydrake.systems.framework import Context, LeafSystem
 
-from sonoservo.systems.signals.scratch_context import declare_scratch_context, scratch_context
+from sonoservo.systems.signals.leaves import declare_memory
 
 
 class ForwardKinematics(LeafSystem):
@@ -34,7 +34,7 @@ class ForwardKinematics(LeafSystem):
     def __init__(self, *, plant: MultibodyPlant, frame: Frame):
         super().__init__()
         self._plant, self._frame = plant, frame
-        self._scratch = declare_scratch_context(self, plant)
+        self._scratch = declare_memory(self, plant.CreateDefaultContext)
         state = self.DeclareVectorInputPort("joint_state", 2 * plant.num_positions())
         self.DeclareAbstractOutputPort(
             "pose",
@@ -45,6 +45,6 @@ class ForwardKinematics(LeafSystem):
 
     def _calc_pose(self, context: Context, output: Value) -> None:
         positions = self.get_input_port().Eval(context)[: self._plant.num_positions()]
-        scratch = scratch_context(self._scratch, context)
+        scratch = self._scratch(context)
         self._plant.SetPositions(scratch, positions)
         output.set_value(self._frame.CalcPoseInWorld(scratch))

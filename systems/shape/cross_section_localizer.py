@@ -12,10 +12,8 @@ from sonoservo.systems.shape.cross_section import (
     find_again,
     find_first,
 )
-from sonoservo.systems.signals.cross_section import CrossSection
-from sonoservo.systems.signals.cross_section_track import CrossSectionTrack
-from sonoservo.systems.signals.image_click import ImageClick
-from sonoservo.systems.signals.image_slice import ImageSlice
+from sonoservo.systems.signals.cross_section import CrossSection, CrossSectionTrack
+from sonoservo.systems.signals.image_slice import ImageClick, ImageSlice
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle_shape import NeedleShape
 from sonoservo.systems.signals.ports import declare_inputs, declare_output, evaluate

@@ -5,8 +5,7 @@ from typing import Any
 from pydrake.common.value import Value
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
-from sonoservo.systems.signals.cross_section import CrossSection
-from sonoservo.systems.signals.cross_section_track import CrossSectionTrack
+from sonoservo.systems.signals.cross_section import CrossSection, CrossSectionTrack
 from sonoservo.systems.signals.image_slice import ImageSlice
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.ports import declare_inputs, declare_state_output, evaluate

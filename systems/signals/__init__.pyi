@@ -1,11 +1,11 @@
 from .acquisition import Acquired as Acquired
 from .body_surface import BodySurface as BodySurface
 from .cross_section import CrossSection as CrossSection
-from .cross_section_track import CrossSectionTrack as CrossSectionTrack
+from .cross_section import CrossSectionTrack as CrossSectionTrack
 from .curvature_wander import WanderModes as WanderModes
 from .guard_status import GuardState as GuardState
 from .guard_status import GuardStatus as GuardStatus
-from .image_click import ImageClick as ImageClick
+from .image_slice import ImageClick as ImageClick
 from .image_slice import ImageSlice as ImageSlice
 from .immutable import Immutable as Immutable
 from .immutable import NotFound as NotFound
@@ -18,7 +18,6 @@ from .localization_explanation import LocalizationAttempt as LocalizationAttempt
 from .localization_explanation import LocalizationExplanation as LocalizationExplanation
 from .localization_explanation import NeedleExtent as NeedleExtent
 from .localization_explanation import SearchRegion as SearchRegion
-from .motion_record import MotionRecord as MotionRecord
 from .needle import Needle as Needle
 from .needle_curve import NeedleCurve as NeedleCurve
 from .needle_estimate import NeedleEstimate as NeedleEstimate
@@ -45,9 +44,10 @@ from .requirements import require_positive as require_positive
 from .search_reason import Reason as Reason
 from .search_reason import ReasonCount as ReasonCount
 from .search_reason import SearchReason as SearchReason
+from .sweep import MotionRecord as MotionRecord
 from .sweep import Sweep as Sweep
 from .sweep import SweepGeometry as SweepGeometry
 from .sweep import SweepMotion as SweepMotion
 from .velocity_measurement import VelocityMeasurement as VelocityMeasurement
 from .volume import Volume as Volume
-from .volume_check import VolumeCheck as VolumeCheck
+from .volume import VolumeCheck as VolumeCheck

@@ -10,20 +10,10 @@ Floats = NDArray[np.float64]
 
 
 def blur_covariance(spread: PointSpread, geometry: SweepGeometry, p_P: Floats) -> Floats:
-    """Return the covariance in P of the Gaussian that approximates a point's echo.
+    """Return the (m, 3, 3) covariances in P, in m^2, of Gaussians that approximate points' echoes.
 
-    Parameters
-    ----------
-    spread
-        Widths by depth, along the array, across the frame and along the line.
-    geometry
-        Geometry of the sweep, which gives the directions of the lines.
-    p_P
-        (m, 3) positions of points in P, in m.
-
-    Returns
-    -------
-    (m, 3, 3) covariances in m^2.
+    The spread gives the widths, and the geometry the directions of the lines, at (m, 3) positions
+    in P, in m.
     """
     axes, depth = line_axes(geometry, p_P)
     scaled = axes * (spread.widths(depth) / FWHM_PER_SIGMA)[..., np.newaxis]

@@ -20,22 +20,13 @@ class BodySurface:
 
     Along the axes on which a body is round, u = (p - centre) / half of the extents satisfies
     ``|u|`` = 1 on its surface. Along the others, it ends at the faces of the box.
-
-    Parameters
-    ----------
-    size
-        Extents along X, Y and Z of T, in m.
-    shape
-        "box", "cylinder" (lying along X_T, with equal extents along Y and Z) or "ellipsoid".
-
-    Raises
-    ------
-    ValueError
-        If the shape is unknown or does not fit the extents.
     """
 
     size: Sequence[float]
+    """Extents along X, Y and Z of T, in m."""
+
     shape: str = "box"
+    """A "box", a "cylinder" lying along X_T with equal extents along Y and Z, or an "ellipsoid"."""
 
     def __post_init__(self) -> None:
         require(self.shape in _ROUND, "shape", self.shape, f"one of {', '.join(_ROUND)}")

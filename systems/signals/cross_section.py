@@ -1,44 +1,52 @@
-"""Cross-section of the needle in one slice."""
+"""Cross-sections of the needle in slices."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.systems.signals.immutable import Immutable, read_only
+from sonoservo.systems.signals.image_slice import ImageSlice
+from sonoservo.systems.signals.immutable import Immutable, NotFound, Shape, Vector3
 
 Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class CrossSection(Immutable):
-    """A needle's cross-section in one slice. If there is none, a `NotFound` takes its place.
+    """A needle's cross-section in one slice. If there is none, a `NotFound` takes its place."""
 
-    Parameters
-    ----------
-    position
-        (3,) position of the needle's axis in W, in m.
-    X_WP
-        (4, 4) pose of the probe in W. The slice is the plane Z = 0 of P.
-    time
-        Time of the slice, in s.
-    correlation
-        Correlation with the template, from 0 to 1.
-    centre
-        (2,) x and y of the axis in P, in m.
-    template
-        (w, h) variance image around the axis, with which it is found in the next slice.
-    """
+    position: Vector3
+    """Position of the needle's axis in W, in m."""
 
-    position: Floats
-    X_WP: Floats
+    X_WP: Annotated[Floats, Shape(4, 4)]
+    """Pose of the probe in W. The slice is the plane Z = 0 of P."""
+
     time: float
-    correlation: float
-    centre: Floats
-    template: NDArray[np.float32]
+    """Time of the slice, in s."""
 
-    def __post_init__(self) -> None:
-        for name, shape in (("position", (3,)), ("X_WP", (4, 4)), ("centre", (2,))):
-            object.__setattr__(self, name, read_only(getattr(self, name), name, shape))
-        template = read_only(self.template, "template", (None, None), np.float32)
-        object.__setattr__(self, "template", template)
+    correlation: float
+    """Correlation with the template, from 0 to 1."""
+
+    centre: Annotated[Floats, Shape(2)]
+    """x and y of the axis in P, in m."""
+
+    template: Annotated[NDArray[np.float32], Shape(None, None, dtype=np.float32)]
+    """Variance image around the axis, with which it is found in the next slice."""
+
+
+@dataclass(frozen=True, eq=False)
+class CrossSectionTrack(Immutable):
+    """Cross-sections found so far, for the localizer of the next one."""
+
+    found: CrossSection | NotFound = field(default_factory=lambda: NotFound("no slice yet"))
+    """Cross-section in the newest slice, or the reason why there is none."""
+
+    time: float = -np.inf
+    """Time of the newest slice, in s."""
+
+    last: CrossSection | None = None
+    """Last cross-section found; None before the first one."""
+
+    images: tuple[ImageSlice, ...] = ()
+    """Slices seen before the first cross-section, oldest first."""

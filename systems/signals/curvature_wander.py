@@ -3,11 +3,12 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sonoservo.systems.signals.immutable import Immutable, read_only
+from sonoservo.systems.signals.immutable import Immutable, Shape
 
 Floats = NDArray[np.float64]
 
@@ -27,23 +28,13 @@ class WanderModes(Immutable):
     components are integrated twice over depth, with the sign of the bevel. The deflection is then a
     sum of the modes with independent normal coefficients, whose standard deviation is that of the
     curvature. This neglects slopes of second order, which change the deflection by some per cent.
-
-    Parameters
-    ----------
-    depths
-        (g,) depths in m, ascending and equidistant from zero.
-    deflections
-        (g, k) deflection of each mode at these depths, in m per 1/m of curvature.
     """
 
-    depths: Floats
-    deflections: Floats
+    depths: Annotated[Floats, Shape("g")]
+    """Ascending and equidistant depths from zero, in m."""
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "depths", read_only(self.depths, "depths", (None,)))
-        shape = (len(self.depths), None)
-        deflections = read_only(self.deflections, "deflections", shape)
-        object.__setattr__(self, "deflections", deflections)
+    deflections: Annotated[Floats, Shape("g", None)]
+    """Deflection of each mode at these depths, in m per 1/m of curvature."""
 
     def __len__(self) -> int:
         return self.deflections.shape[1]
@@ -59,16 +50,10 @@ class WanderModes(Immutable):
 
 
 def wander_modes(depth: float, rotations: Sequence[float], length: float) -> WanderModes:
-    """Return the modes of a wandering curvature down to a depth.
+    """Return the modes of a wandering curvature of length L down to a depth, both in m.
 
-    Parameters
-    ----------
-    depth
-        Depth in m.
-    rotations
-        Depths in m at which the bevel is turned by 180 deg, which changes the curvature's sign.
-    length
-        Length L in m; see `WanderModes`.
+    At the depths of the rotations, in m, the bevel is turned by 180 deg: the curvature changes
+    sign.
     """
     return _wander_modes(depth, tuple(rotations), length)
 

@@ -19,27 +19,17 @@ class GuardState(StrEnum):
 
 @dataclass(frozen=True)
 class GuardStatus(Immutable):
-    """State of the guard, and the reason for its last intervention.
-
-    Parameters
-    ----------
-    state
-        Present state.
-    reason
-        Reason for the last intervention as a sentence; empty if there was none.
-    since
-        Time at which the state was entered, in s.
-    interventions
-        Number of interventions so far.
-    remark
-        What was noticed so far without a need to intervene; empty if nothing was.
-    """
+    """State of the guard, and the reason for its last intervention."""
 
     state: GuardState
     reason: str = ""
+    """Reason for the last intervention as a sentence; empty if there was none."""
     since: float = 0.0
+    """Time at which the state was entered, in s."""
     interventions: int = 0
+    """Number of interventions so far."""
     remark: str = ""
+    """What was noticed so far without a need to intervene; empty if nothing was."""
 
     @property
     def stopped(self) -> bool:

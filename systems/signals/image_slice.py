@@ -1,65 +1,50 @@
-"""One image of the tissue on a Cartesian grid."""
+"""One image of the tissue on a Cartesian grid, and a person's click on it."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydrake.math import RigidTransform
 
 from sonoservo.systems.sampling.interpolation import sample_grid
-from sonoservo.systems.signals.immutable import Immutable, read_only
-from sonoservo.systems.signals.requirements import Positive, check_bounds, require, require_positive
+from sonoservo.systems.signals.immutable import Immutable, Shape
+from sonoservo.systems.signals.requirements import Finite, Positive, require, require_positive
 from sonoservo.systems.signals.sweep import DECIBELS_PER_LEVEL
 
 
 @dataclass(frozen=True, eq=False)
 class ImageSlice(Immutable):
-    """Intensities on a Cartesian grid in the plane Z = 0 of the probe frame P.
+    """Intensities on a Cartesian grid in the plane Z = 0 of the probe frame P."""
 
-    Parameters
-    ----------
-    intensities
-        (nx, ny) uint8 log-compressed echo amplitudes. Element [i, j] lies at
-        ``origin + spacing * (i, j)``; y is depth. Elements outside the sector are zero.
-    origin
-        (2,) x and y in P of element [0, 0], in m.
-    spacing
-        (2,) distances between neighbouring elements, in m.
-    X_WP
-        Pose of the probe in the world, at ``time``.
-    time
-        Time of the acquisition, in s.
-    apex
-        y in P, in m, of the point on x = 0 above the face from which the beams diverge; -inf if
-        they are parallel.
-    decibels_per_level
-        Decibels per unit of intensity.
+    intensities: Annotated[NDArray[np.uint8], Shape(None, None, dtype=np.uint8)]
+    """(nx, ny) log-compressed echo amplitudes. Element [i, j] lies at
+    ``origin + spacing * (i, j)``; y is depth. Elements outside the sector are zero."""
 
-    Raises
-    ------
-    ValueError
-        If a shape is wrong, a spacing is not above zero or a value is not finite.
-    """
+    origin: Annotated[NDArray[np.float64], Shape(2)]
+    """x and y in P of element [0, 0], in m."""
 
-    intensities: NDArray[np.uint8]
-    origin: NDArray[np.float64]
-    spacing: NDArray[np.float64]
+    spacing: Annotated[NDArray[np.float64], Shape(2)]
+    """Distances between neighbouring elements, in m."""
+
     X_WP: RigidTransform
-    time: float
+    """Pose of the probe in the world, at ``time``."""
+
+    time: Finite
+    """Time of the acquisition, in s."""
+
     apex: float = -np.inf
+    """y in P, in m, of the point on x = 0 above the face from which the beams diverge; -inf if they
+    are parallel."""
+
     decibels_per_level: Positive = DECIBELS_PER_LEVEL
+    """Decibels per unit of intensity."""
 
     def __post_init__(self) -> None:
-        array = read_only(self.intensities, "intensities", (None, None), np.uint8)
-        require(
-            min(array.shape) >= 3, "intensities.shape", array.shape, "at least 3 along each axis"
-        )
-        object.__setattr__(self, "intensities", array)
-        object.__setattr__(self, "origin", read_only(self.origin, "origin", (2,)))
-        object.__setattr__(self, "spacing", read_only(self.spacing, "spacing", (2,)))
+        super().__post_init__()
+        shape = self.intensities.shape
+        require(min(shape) >= 3, "intensities.shape", shape, "at least 3 along each axis")
         require_positive(**{f"spacing[{axis}]": s for axis, s in enumerate(self.spacing)})
-        require(bool(np.isfinite(self.time)), "time", self.time, "finite")
-        check_bounds(self)
 
     def position(self, index: ArrayLike) -> NDArray[np.float64]:
         """Return the (..., 2) x and y in P, in m, of elements; fractional indices are allowed."""
@@ -86,3 +71,11 @@ class ImageSlice(Immutable):
         x, y = np.asarray(p_P, dtype=float)
         p_W: NDArray[np.float64] = self.X_WP.multiply(np.array([x, y, 0.0]))
         return p_W
+
+
+@dataclass(frozen=True, eq=False)
+class ImageClick(Immutable):
+    """A person's click on a slice. Until there is one, a `NotFound` takes its place."""
+
+    position: Annotated[NDArray[np.float64], Shape(2)]
+    """x and y in P of the point clicked at, in m."""

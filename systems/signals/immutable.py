@@ -1,24 +1,82 @@
 """Base class and helpers for values that travel between systems without being copied."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from functools import cache
 from math import isfinite
-from typing import Any, Literal, Self, TypeVar
+from typing import Annotated, Any, Literal, Self, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 from pydrake.math import RigidTransform
 
+from sonoservo.systems.signals.requirements import annotations_of, check_bounds
+
 Array = TypeVar("Array", bound=NDArray[Any])
 
 
-class Immutable:
-    """Base class of values whose deep copy is the value itself.
+class Shape:
+    """Extents and type of an array, for the annotation of a field.
 
-    Drake often copies abstract values (in contexts and unrestricted updates). A frozen dataclass
-    with read-only arrays needs no copy, so a volume of many megabytes travels at no cost.
+    None allows any extent. A letter stands for the same extent in all arrays of a value, and "3n"
+    for three times that.
+    """
+
+    def __init__(self, *extents: int | str | None, dtype: DTypeLike = np.float64) -> None:
+        self.dtype = dtype
+        self.letters = {
+            at: (each[-1], int(each[:-1] or 1))
+            for at, each in enumerate(extents)
+            if isinstance(each, str)
+        }
+        self._others = [None if isinstance(each, str) else each for each in extents]
+
+    def given(self, known: Mapping[str, int]) -> tuple[int | None, ...]:
+        """Return the extents with numbers in place of the letters that are known, else None."""
+        extents = self._others.copy()
+        for at, (letter, times) in self.letters.items():
+            if letter in known:
+                extents[at] = times * known[letter]
+        return tuple(extents)
+
+
+Vector3: TypeAlias = Annotated[NDArray[np.float64], Shape(3)]
+"""Three numbers, such as a position."""
+
+Matrix3: TypeAlias = Annotated[NDArray[np.float64], Shape(3, 3)]
+"""Three times three numbers, such as a covariance."""
+
+
+class Immutable:
+    """Base class of frozen dataclasses whose deep copy is the value itself.
+
+    Drake often copies abstract values (in contexts and unrestricted updates). A value with
+    read-only arrays needs no copy, so a volume of many megabytes travels at no cost.
+
+    The bounds (`check_bounds`) and shapes (`Shape`) in the annotations of the fields are checked,
+    and the arrays kept as `read_only` ones. A ValueError names the field. A value with further
+    rules extends ``__post_init__``.
     """
 
     __slots__ = ()
+
+    def __post_init__(self) -> None:
+        check_bounds(self)
+        schema: Any = type(self)
+        shapes = _shapes(schema)
+        known = self._extents() if shapes else {}
+        for name, shape, optional in shapes:
+            held = getattr(self, name)
+            if held is None and optional:
+                continue
+            array = read_only(held, name, shape.given(known), shape.dtype)
+            for at, (letter, times) in shape.letters.items():
+                known.setdefault(letter, array.shape[at] // times)
+            object.__setattr__(self, name, array)
+
+    def _extents(self) -> dict[str, int]:
+        """Return the extents of the value's arrays that follow from other fields, by letter."""
+        return {}
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
@@ -51,18 +109,19 @@ def _short(value: object) -> str:
 
 @dataclass(frozen=True, slots=True)
 class NotFound(Immutable):
-    """Falsy value that takes the place of a missing result and gives the reason.
-
-    Parameters
-    ----------
-    reason
-        Short sentence on which a person can act.
-    """
+    """Falsy value that takes the place of a missing result and gives the reason."""
 
     reason: str
+    """Short sentence on which a person can act."""
 
     def __bool__(self) -> bool:
         return False
+
+
+@cache
+def _shapes(schema: type) -> list[tuple[str, Shape, bool]]:
+    """Return name and shape of each array among a value's fields, and if it may be None."""
+    return [(name, shape, optional) for name, shape, _, optional in annotations_of(schema, Shape)]
 
 
 def seal(array: Array) -> Array:
@@ -88,24 +147,11 @@ def own(array: NDArray[Any]) -> NDArray[Any]:
 def read_only(
     array: ArrayLike, name: str, shape: tuple[int | None, ...], dtype: DTypeLike = np.float64
 ) -> NDArray[Any]:
-    """Check an array and return it as a read-only array.
+    """Return an array as a read-only one of a type and shape, in which None allows any extent.
 
-    Parameters
-    ----------
-    array
-        Anything NumPy can convert. It is copied unless it is sealed (`seal`) and of the right type.
-        Later changes by the caller therefore cannot affect the value that keeps it.
-    name
-        Name of the array in the error message.
-    shape
-        Expected shape; None allows any extent.
-    dtype
-        Expected type of the elements.
-
-    Raises
-    ------
-    ValueError
-        If the shape differs or a floating-point element is not finite.
+    It is copied unless it is sealed (`seal`) and of the right type, so that later changes by the
+    caller cannot affect the value that keeps it. A ValueError names the array if the shape differs
+    or a floating-point element is not finite.
     """
     # Compiled code takes volumes and sweeps in C's order; for another it would be compiled anew.
     order: Literal["K", "C"] = "C" if len(shape) > 2 else "K"

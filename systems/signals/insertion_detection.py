@@ -2,36 +2,27 @@
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
-from sonoservo.systems.signals.immutable import Immutable, read_only
+from sonoservo.systems.signals.immutable import Immutable, Vector3
 
 
 @dataclass(frozen=True, eq=False)
 class InsertionDetection(Immutable):
-    """Detected insertion. If there is none, a `NotFound` takes its place.
+    """Detected insertion, in W, in m. If there is none, a `NotFound` takes its place."""
 
-    Parameters
-    ----------
-    p_WEntry, p_WMedian, p_WTip
-        (3,) candidate entry point E_t on the side of the field of view, geometric median of the
-        candidates, and geometric median of the half farther from the entry, in W, in m.
-    std
-        Square root of the trace of the candidates' covariance, in m.
-    change
-        Smallest difference among the candidates, in dB.
-    time
-        Time at which the tip was acquired, in s.
-    """
+    p_WEntry: Vector3
+    """Candidate entry point E_t on the side of the field of view."""
 
-    p_WEntry: NDArray[np.float64]
-    p_WMedian: NDArray[np.float64]
-    p_WTip: NDArray[np.float64]
+    p_WMedian: Vector3
+    """Geometric median of the candidates."""
+
+    p_WTip: Vector3
+    """Geometric median of the half farther from the entry."""
+
     std: float
-    change: float
-    time: float
+    """Square root of the trace of the candidates' covariance."""
 
-    def __post_init__(self) -> None:
-        for name in ("p_WEntry", "p_WMedian", "p_WTip"):
-            object.__setattr__(self, name, read_only(getattr(self, name), name, (3,)))
+    change: float
+    """Smallest difference among the candidates, in dB."""
+
+    time: float
+    """Time at which the tip was acquired, in s."""

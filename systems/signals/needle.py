@@ -1,54 +1,44 @@
 """Inserted part of a real needle."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydrake.math import RigidTransform
 
-from sonoservo.systems.signals.immutable import Immutable, read_only
+from sonoservo.systems.signals.immutable import Immutable, Shape
 from sonoservo.systems.signals.needle_curve import NeedleCurve
-from sonoservo.systems.signals.requirements import Positive, check_bounds, require
+from sonoservo.systems.signals.requirements import Positive, require
 
 
 @dataclass(frozen=True, eq=False)
 class Needle(Immutable):
-    """Inserted part of a needle; falsy while the needle is outside.
+    """Inserted part of a needle; falsy while the needle is outside."""
 
-    Parameters
-    ----------
-    shaft
-        (m, 3) points along the needle's axis in m, from the entry to the tip; (0, 3) while the
-        needle is outside.
-    radius
-        Outer radius in m.
-    aim
-        (2, 3) tip and a point at which the needle is aimed while it is outside, in m. None while it
-        is inside, or if unknown. It is used for display only.
-    roll
-        Angle of the bevel's face about the axis in rad: at 0 it looks up, at pi/2 across the
-        needle, to the left as seen along it. It matters to how the tip echoes.
-    track
-        (2, 3) ends of the channel that the needle left beyond its tip as it was withdrawn, deepest
-        last, in m; None if there is none.
-    """
+    shaft: Annotated[NDArray[np.float64], Shape(None, 3)]
+    """Points along the needle's axis in m, from the entry to the tip; none while it is outside."""
 
-    shaft: NDArray[np.float64]
     radius: Positive
-    aim: NDArray[np.float64] | None = None
+    """Outer radius in m."""
+
+    aim: Annotated[NDArray[np.float64], Shape(2, 3)] | None = None
+    """Tip and a point at which the needle is aimed while it is outside, in m. None while it is
+    inside, or if unknown. It is used for display only."""
+
     roll: float = 0.0
-    track: NDArray[np.float64] | None = None
+    """Angle of the bevel's face about the axis in rad: at 0 it looks up, at pi/2 across the needle,
+    to the left as seen along it. It matters to how the tip echoes."""
+
+    track: Annotated[NDArray[np.float64], Shape(2, 3)] | None = None
+    """Ends of the channel that the needle left beyond its tip as it was withdrawn, deepest last, in
+    m; None if there is none."""
 
     def __post_init__(self) -> None:
-        shaft = read_only(self.shaft, "shaft", (None, 3))
-        require(len(shaft) != 1, "shaft", len(shaft), "0 or at least 2 points")
-        object.__setattr__(self, "shaft", shaft)
-        if self.aim is not None:
-            require(not len(shaft), "aim", self.aim, "None while the needle is inside")
-            object.__setattr__(self, "aim", read_only(self.aim, "aim", (2, 3)))
-        if self.track is not None:
-            object.__setattr__(self, "track", read_only(self.track, "track", (2, 3)))
-        check_bounds(self)
+        super().__post_init__()
+        require(len(self.shaft) != 1, "shaft", len(self.shaft), "0 or at least 2 points")
+        outside = self.aim is None or not len(self.shaft)
+        require(outside, "aim", self.aim, "None while the needle is inside")
 
     def __bool__(self) -> bool:
         return len(self.shaft) > 0

@@ -2,12 +2,13 @@
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydrake.math import RigidTransform
 
-from sonoservo.systems.signals.immutable import Immutable, read_only, seal
+from sonoservo.systems.signals.immutable import Immutable, Shape, seal
 from sonoservo.systems.signals.requirements import require
 
 
@@ -24,19 +25,14 @@ class NeedleCurve(Immutable):
     In Chatelain 2013 the filter's state contains points (eq. 3), and the localizer uses
     coefficients (eq. 16). Here the points are primary. They lie at abscissae u = i / (n - 1), from
     0 at the entry to 1 at the tip, and the coefficients follow from them.
-
-    Parameters
-    ----------
-    control_points
-        (n, 3) positions in m. The curve is straight for order n = 2 and bent for n = 3.
     """
 
-    control_points: NDArray[np.float64]
+    control_points: Annotated[NDArray[np.float64], Shape(None, 3)]
+    """Positions in m. The curve is straight for two of them and bent for three."""
 
     def __post_init__(self) -> None:
-        points = read_only(self.control_points, "control_points", (None, 3))
-        require(2 <= len(points) <= 4, "control_points", len(points), "2 to 4 points")
-        object.__setattr__(self, "control_points", points)
+        super().__post_init__()
+        require(2 <= self.order <= 4, "control_points", self.order, "2 to 4 points")
 
     @property
     def order(self) -> int:

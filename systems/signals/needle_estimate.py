@@ -4,12 +4,13 @@ import math
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import cached_property
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform
 
-from sonoservo.systems.signals.immutable import Immutable, read_only
+from sonoservo.systems.signals.immutable import Immutable, Shape
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 
 
@@ -28,48 +29,38 @@ class TrackingMode(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class NeedleEstimate(Immutable):
-    """Estimate of the needle by a tracker; falsy while there is no curve.
-
-    Parameters
-    ----------
-    mode
-        Stage of tracking.
-    time
-        Time for which the estimate holds, in s.
-    curve
-        Curve of the needle in W, in m; None while searching.
-    velocity
-        (n, 3) velocities of the control points in W, in m/s; None while searching.
-    covariance
-        (6n, 6n) covariance of the stacked control points and their velocities; None while
-        searching.
-    volume_time
-        Time of the newest volume seen, in s; -inf before the first one.
-    reason
-        Reason why the last volume did not confirm the needle; empty if it did.
-    probability
-        Probability that what is estimated is a needle; 0 while nothing is.
-    X_WP
-        Pose of the probe at the newest volume, if the tracker keeps the needle in the probe's frame
-        and not in W; otherwise None.
-    """
+    """Estimate of the needle by a tracker; falsy while there is no curve."""
 
     mode: TrackingMode
-    time: float
-    curve: NeedleCurve | None = None
-    velocity: NDArray[np.float64] | None = None
-    covariance: NDArray[np.float64] | None = None
-    volume_time: float = -np.inf
-    reason: str = ""
-    X_WP: RigidTransform | None = None
-    probability: float = 0.0
+    """Stage of tracking."""
 
-    def __post_init__(self) -> None:
-        if self.curve is None:
-            return
-        order = self.curve.order
-        for name, shape in (("velocity", (order, 3)), ("covariance", (6 * order, 6 * order))):
-            object.__setattr__(self, name, read_only(getattr(self, name), name, shape))
+    time: float
+    """Time for which the estimate holds, in s."""
+
+    curve: NeedleCurve | None = None
+    """Curve of the needle in W, in m; None, as the next two, while searching."""
+
+    velocity: Annotated[NDArray[np.float64], Shape("n", 3)] | None = None
+    """Velocities of the n control points in W, in m/s."""
+
+    covariance: Annotated[NDArray[np.float64], Shape("6n", "6n")] | None = None
+    """Covariance of the stacked control points and their velocities."""
+
+    volume_time: float = -np.inf
+    """Time of the newest volume seen, in s; -inf before the first one."""
+
+    reason: str = ""
+    """Reason why the last volume did not confirm the needle; empty if it did."""
+
+    X_WP: RigidTransform | None = None
+    """Pose of the probe at the newest volume, if the tracker keeps the needle in the probe's frame
+    and not in W."""
+
+    probability: float = 0.0
+    """Probability that what is estimated is a needle; 0 while nothing is."""
+
+    def _extents(self) -> dict[str, int]:
+        return {"n": self.curve.order} if self.curve else {}
 
     def __bool__(self) -> bool:
         return self.curve is not None

@@ -7,57 +7,54 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform
 
-from sonoservo.systems.signals.immutable import Immutable, read_only
+from sonoservo.systems.signals.immutable import Immutable, Shape, seal
 from sonoservo.systems.signals.needle_curve import NeedleCurve
-from sonoservo.systems.signals.requirements import check_bounds, within
+from sonoservo.systems.signals.requirements import Fraction
+
+_NOWHERE = seal(np.zeros((0, 3)))
 
 
 @dataclass(frozen=True, eq=False)
 class NeedleMeasurement(Immutable):
-    """Needle found in one volume. If there is none, a `NotFound` takes its place.
-
-    Parameters
-    ----------
-    curve
-        Curve of the needle in W, in m.
-    covariance
-        (3n, 3n) covariance of the stacked control points, in m^2. Tip and interior points are
-        correlated.
-    time
-        Time at which the tip was acquired, in s.
-    inlier_count, inlier_ratio
-        Number of candidate voxels within the residual threshold, and their share of the candidates
-        between entry and tip.
-    X_WP
-        Pose of the probe from which the tip was seen; None if unknown.
-    tip_seen
-        Probability that the end of the curve is the tip.
-    elsewhere
-        (c, 3) other places of the tip along the needle: probabilities, distances from the end of
-        the curve and standard deviations, in m. The covariance is that of the first place alone.
-    hidden_std
-        Standard deviation along the needle, in m, of an error of the tip that all measurements have
-        in common, as long as the needle is turned as it is; not part of the covariance.
-    """
+    """Needle found in one volume. If there is none, a `NotFound` takes its place."""
 
     curve: NeedleCurve
-    covariance: NDArray[np.float64]
-    time: float
-    inlier_count: int
-    inlier_ratio: Annotated[float, within(0, 1)]
-    X_WP: RigidTransform | None = None
-    tip_seen: Annotated[float, within(0, 1)] = 1.0
-    elsewhere: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
-    hidden_std: float = 0.0
+    """Curve of the needle in W, in m."""
 
-    def __post_init__(self) -> None:
-        size = 3 * self.curve.order
-        object.__setattr__(
-            self, "covariance", read_only(self.covariance, "covariance", (size, size))
-        )
-        shape = len(self.elsewhere), 3
-        object.__setattr__(self, "elsewhere", read_only(self.elsewhere, "elsewhere", shape))
-        check_bounds(self)
+    covariance: Annotated[NDArray[np.float64], Shape("3n", "3n")]
+    """Covariance of the n stacked control points, in m^2. Tip and interior points are
+    correlated."""
+
+    time: float
+    """Time at which the tip was acquired, in s."""
+
+    inlier_count: int
+    """Number of candidate voxels within the residual threshold."""
+
+    inlier_ratio: Fraction
+    """Their share of the candidates between entry and tip."""
+
+    X_WP: RigidTransform | None = None
+    """Pose of the probe from which the tip was seen; None if unknown."""
+
+    tip_seen: Fraction = 1.0
+    """Probability that the end of the curve is the tip."""
+
+    elsewhere: Annotated[NDArray[np.float64], Shape(None, 3)] = field(
+        default_factory=lambda: _NOWHERE
+    )
+    """Other places of the tip along the needle: probabilities, distances from the end of the curve
+    and standard deviations, in m. The covariance is that of the first place alone."""
+
+    bevel_std: float = 0.0
+    """Standard deviation along the needle, in m, of an error of the tip that all measurements have
+    in common, as the bevel is turned as it is; not part of the covariance."""
+
+    unseen: Fraction = 0.0
+    """Probability that a needle which goes on beyond the end is not seen there."""
+
+    def _extents(self) -> dict[str, int]:
+        return {"n": self.curve.order}
 
     @property
     def places(self) -> list[tuple[float, NDArray[np.float64], NDArray[np.float64]]]:
@@ -83,13 +80,8 @@ class NeedleMeasurement(Immutable):
             fit = -0.5 * (y @ np.linalg.solve(S, y) + np.linalg.slogdet(S)[1])
             fits.append(fit + np.log(max(probability, 1e-300)))
         _, z, R = places[int(np.argmax(fits))]
-        return replace(
-            self,
-            curve=NeedleCurve(z.reshape(-1, 3)),
-            covariance=R,
-            tip_seen=1.0,
-            elsewhere=np.zeros((0, 3)),
-        )
+        curve = NeedleCurve(z.reshape(-1, 3))
+        return replace(self, curve=curve, covariance=R, tip_seen=1.0, elsewhere=_NOWHERE)
 
     @property
     def total_covariance(self) -> NDArray[np.float64]:

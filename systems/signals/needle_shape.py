@@ -1,7 +1,8 @@
 """Estimated shape of a needle, from its entry to its full depth, with uncertainty."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -9,7 +10,7 @@ from pydrake.math import RigidTransform
 
 from sonoservo.systems.signals.bicycle_paths import deflections
 from sonoservo.systems.signals.curvature_wander import wander_modes
-from sonoservo.systems.signals.immutable import Immutable, read_only
+from sonoservo.systems.signals.immutable import Immutable, Shape
 from sonoservo.systems.signals.requirements import require
 
 Floats = NDArray[np.float64]
@@ -20,63 +21,54 @@ class NeedleShape(Immutable):
     """Belief of a shape estimator: a weighted set of paths of the bicycle model.
 
     The curvature of a path may wander along it, which adds a deflection along X and along Y of I.
-
-    Parameters
-    ----------
-    parameters
-        (n, 3) radius R in m, first angle theta_0 and plane phi in rad, of each path.
-    origins
-        (n, 2) x and y in I at depth 0 of each path, in m.
-    weights
-        (n,) weights of the paths, with a sum of 1.
-    origin_variance
-        Additional variance of x and of y of each path's origin, in m^2.
-    rotations
-        Depths at which the bevel is turned, in m.
-    depth
-        Depth of the tip when the needle is fully inserted, in m.
-    observed
-        Depth of the last slice that was used, in m.
-    X_WI
-        Pose of the insertion's frame in W.
-    time
-        Time of the last slice that was used, in s.
-    reason
-        Reason why the newest slice was not used; empty if it was.
-    wander
-        (n, k, 2) coefficients of `wander_modes` along X and along Y, in 1/m; without modes, the
-        curvature of each path is constant.
-    wander_length
-        Length in m of the modes.
     """
 
-    parameters: Floats
-    origins: Floats
-    weights: Floats
+    parameters: Annotated[Floats, Shape("n", 3)]
+    """Radius R in m, first angle theta_0 and plane phi in rad, of each path."""
+
+    origins: Annotated[Floats, Shape("n", 2)]
+    """x and y in I at depth 0 of each path, in m."""
+
+    weights: Annotated[Floats, Shape("n")]
+    """Weights of the paths, with a sum of 1."""
+
     origin_variance: float
+    """Additional variance of x and of y of each path's origin, in m^2."""
+
     rotations: tuple[float, ...]
+    """Depths at which the bevel is turned, in m."""
+
     depth: float
+    """Depth of the tip when the needle is fully inserted, in m."""
+
     observed: float
+    """Depth of the last slice that was used, in m."""
+
     X_WI: RigidTransform
+    """Pose of the insertion's frame in W."""
+
     time: float
+    """Time of the last slice that was used, in s."""
+
     reason: str = ""
-    wander: Floats = field(default_factory=lambda: np.zeros((0, 0, 2)))
+    """Reason why the newest slice was not used; empty if it was."""
+
+    wander: Annotated[Floats, Shape("n", None, 2)] | None = None
+    """Coefficients of `wander_modes` along X and along Y, in 1/m; None if the curvature of each
+    path is constant."""
+
     wander_length: float = 0.02
+    """Length in m of the modes."""
 
     def __post_init__(self) -> None:
-        n = len(self.parameters)
-        if not self.wander.size:
-            object.__setattr__(self, "wander", np.zeros((n, 0, 2)))
-        object.__setattr__(self, "wander", read_only(self.wander, "wander", (n, None, 2)))
-        for name, shape in (("parameters", (n, 3)), ("origins", (n, 2)), ("weights", (n,))):
-            object.__setattr__(self, name, read_only(getattr(self, name), name, shape))
+        super().__post_init__()
         total = self.weights.sum()
         require(abs(total - 1) < 1e-6, "sum of weights", total, "1")
 
     def paths(self, depths: ArrayLike) -> Floats:
         """Return (n, m, 2) x and y in I, in m, of every path at (m,) ascending depths in m."""
         paths = self.origins[:, np.newaxis] + bicycle_paths(self.parameters, depths, self.rotations)
-        if not self.wander.size:
+        if self.wander is None or not self.wander.size:
             return paths
         modes = wander_modes(self.depth, self.rotations, self.wander_length).at(depths)
         wandering: Floats = paths + np.matmul(modes, self.wander)

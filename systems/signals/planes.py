@@ -8,7 +8,7 @@ from pydrake.math import RigidTransform, RotationMatrix
 
 from sonoservo.systems.signals.immutable import Immutable
 from sonoservo.systems.signals.needle_curve import NeedleCurve
-from sonoservo.systems.signals.requirements import Positive, check_bounds
+from sonoservo.systems.signals.requirements import Positive
 from sonoservo.systems.signals.volume import Volume
 
 Vector = NDArray[np.float64]
@@ -16,23 +16,14 @@ Vector = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Plane(Immutable):
-    """A rectangle in the probe frame P, or in another one.
-
-    Parameters
-    ----------
-    X_PS
-        Pose of the rectangle's frame S. Its origin is the centre, X is along the width, Y along the
-        height, and Z is the normal.
-    width, height
-        Extents of the rectangle, in m.
-    """
+    """A rectangle in the probe frame P, or in another one."""
 
     X_PS: RigidTransform
+    """Pose of the rectangle's frame S. Its origin is the centre, X is along the width, Y along the
+    height, and Z is the normal."""
+
     width: Positive
     height: Positive
-
-    def __post_init__(self) -> None:
-        check_bounds(self)
 
     def transformed(self, X: RigidTransform) -> "Plane":
         """Return the plane in another frame, in which P has the pose X."""
@@ -63,13 +54,7 @@ def slice_planes(volume: Volume, curve: NeedleCurve | None = None) -> list[Plane
     its height along the beam, which puts the probe at the top of its image. The second plane is
     orthogonal to the first one, with its width along the needle. Each rectangle is as large as its
     plane's cut through the volume's grid. A plane that misses the grid is left out.
-
-    Parameters
-    ----------
-    volume
-        Volume to cut.
-    curve
-        Needle in W. Without one, the planes are Z = 0 and X = 0 of P.
+    Without a curve (in W), the planes are Z = 0 and X = 0 of P.
     """
     across, depth, normal = np.eye(3)
     point, width, height = np.zeros(3), normal, depth
@@ -107,37 +92,19 @@ def _cut(volume: Volume, point: Vector, u: Vector, v: Vector) -> Plane | None:
 
 
 def sample_plane(volume: Volume, plane: Plane, spacing: float) -> NDArray[np.uint8]:
-    """Return the image of a slice through a volume, by trilinear interpolation.
+    """Return the (rows, columns) grey levels of a slice through a volume, trilinear.
 
-    Parameters
-    ----------
-    volume
-        Volume to cut; its intensities are grey levels from 0 to 255.
-    plane
-        Plane of the slice.
-    spacing
-        Largest spacing of the pixels, in m.
-
-    Returns
-    -------
-    (rows, columns) grey level. Outside the grid it is 0, or that of the nearest point on its edge
-    if the volume knows its sector.
+    ``spacing`` is the largest one of the pixels, in m. Outside the grid, the grey level is 0, or
+    that of the nearest point on its edge if the volume knows its sector.
     """
     return _grey(volume, _pixels(plane, spacing))
 
 
 def sample_sector(volume: Volume, plane: Plane, spacing: float) -> NDArray[np.uint8]:
-    """Return the image of a slice through a volume, transparent outside the swept sector.
+    """Return a slice as `sample_plane` does, transparent outside the swept sector.
 
-    Parameters
-    ----------
-    volume, plane, spacing
-        See `sample_plane`.
-
-    Returns
-    -------
-    (rows, columns, 2) grey level and opacity, which is 255 in the sector and 0 outside. If the
-    sector is unknown, the whole grid is opaque.
+    It has (rows, columns, 2) grey level and opacity, which is 255 in the sector and 0 outside. If
+    the sector is unknown, the whole grid is opaque.
     """
     p_P = _pixels(plane, spacing)
     if volume.motion is not None:

@@ -1,11 +1,12 @@
 """Resolution of an image: widths of the blur by the scanner, by depth."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.systems.signals.immutable import Immutable, read_only
+from sonoservo.systems.signals.immutable import Immutable, Shape
 from sonoservo.systems.signals.requirements import require
 
 Floats = NDArray[np.float64]
@@ -16,31 +17,23 @@ FWHM_PER_SIGMA = float(2 * np.sqrt(2 * np.log(2)))
 
 @dataclass(frozen=True, eq=False)
 class PointSpread(Immutable):
-    """Widths of a point's echo, at half amplitude, by depth.
+    """Widths of a point's echo: full widths at half maximum by depth, in m."""
 
-    Parameters
-    ----------
-    depth
-        (n,) ascending distances from the array along a line, in m. Between them the widths are
-        interpolated, and beyond them they are constant.
-    lateral, elevation, axial
-        (n,) full widths at half maximum along the array, across the frame and along the line, in m.
+    depth: Annotated[Floats, Shape("n")]
+    """Ascending distances from the array along a line. Between them the widths are interpolated,
+    and beyond them they are constant."""
 
-    Raises
-    ------
-    ValueError
-        If a length differs, a width is not above zero or the depths are not ascending.
-    """
+    lateral: Annotated[Floats, Shape("n")]
+    """Widths along the array."""
 
-    depth: Floats
-    lateral: Floats
-    elevation: Floats
-    axial: Floats
+    elevation: Annotated[Floats, Shape("n")]
+    """Widths across the frame."""
+
+    axial: Annotated[Floats, Shape("n")]
+    """Widths along the line."""
 
     def __post_init__(self) -> None:
-        for name in ("depth", "lateral", "elevation", "axial"):
-            count = None if name == "depth" else len(self.depth)
-            object.__setattr__(self, name, read_only(getattr(self, name), name, (count,)))
+        super().__post_init__()
         require(len(self.depth) > 0, "depth", self.depth, "at least one depth")
         require(bool((np.diff(self.depth) > 0).all()), "depth", self.depth, "ascending")
         for name in ("lateral", "elevation", "axial"):

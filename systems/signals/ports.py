@@ -38,20 +38,10 @@ def declare_output(
     calc: Callable[[Context, Any], None],
     prerequisites: Iterable[Any] | None = None,
 ) -> OutputPort:
-    """Declare an abstract output port that gives Python objects.
+    """Declare an abstract output port that gives Python objects of a type or types.
 
-    Parameters
-    ----------
-    system
-        System that is being constructed.
-    name
-        Name of the port.
-    types
-        Type or types of the value.
-    calc
-        Callback that sets the port's value.
-    prerequisites
-        Tickets of all that the value depends on; every source if None.
+    The callback sets the port's value. Prerequisites are the tickets of all that it depends on;
+    every source if None.
     """
     allocate = Value[object](types).Clone
     if prerequisites is None:
@@ -108,6 +98,14 @@ def evaluate(system: System, context: Context, port: str, expected: tuple[type[T
 def evaluate(system: System, context: Context, port: str, expected: Types) -> Any:
     """Evaluate an abstract input port; a TypeError names it if the value has another type."""
     return evaluate_port(system.GetInputPort(port), context, expected)
+
+
+def evaluate_optional(
+    system: System, context: Context, port: str, expected: type[T] | tuple[type[T], ...]
+) -> T | None:
+    """Evaluate an abstract or vector input port as `evaluate` does; None if it has no value."""
+    found = system.GetInputPort(port)
+    return evaluate_port(found, context, expected) if found.HasValue(context) else None
 
 
 def evaluate_port(port: InputPort, context: Context, expected: type[T] | tuple[type[T], ...]) -> T:

@@ -14,22 +14,17 @@ from sonoservo.systems.signals.sweep import SweepMotion
 
 @dataclass(frozen=True, eq=False)
 class RadioFrequencySweep(Immutable):
-    """Radio-frequency echoes of one sweep, before envelope detection.
-
-    Parameters
-    ----------
-    lines
-        (frames, lines, samples) float32 echoes. Their values are not checked, which would take as
-        long as all further processing.
-    motion
-        Time and pose at which each frame was acquired.
-    point_spread
-        Resolution of the transducer; None if unknown.
-    """
+    """Radio-frequency echoes of one sweep, before envelope detection."""
 
     lines: NDArray[np.float32]
+    """(frames, lines, samples) echoes. Their values are not checked, which would take as long as
+    all further processing."""
+
     motion: SweepMotion
+    """Time and pose at which each frame was acquired."""
+
     point_spread: PointSpread | None = None
+    """Resolution of the transducer; None if unknown."""
 
     def __post_init__(self) -> None:
         lines = own(np.asarray(self.lines, dtype=np.float32))

@@ -9,17 +9,9 @@ HELD_OUT = range(100)
 
 
 def random_stream(seed: int, purpose: str, time: float) -> np.random.Generator:
-    """Return the random generator of one system for one volume.
+    """Return the random generator of one system for the volume at a time in s.
 
-    It makes a stateless system repeatable. Systems with different purposes draw different numbers.
-
-    Parameters
-    ----------
-    seed
-        Seed that the systems share.
-    purpose
-        Purpose of the random numbers, such as "detection".
-    time
-        Time of the volume, in s.
+    It makes a stateless system repeatable. Systems with different purposes, such as "detection",
+    draw different numbers from the seed that they share.
     """
     return np.random.default_rng([seed, crc32(purpose.encode()), int(abs(time) * 1e9)])

@@ -2,50 +2,35 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sonoservo.systems.signals.immutable import own, read_only, seal
+from sonoservo.systems.signals.immutable import Shape, own, seal
 from sonoservo.systems.signals.requirements import require
 from sonoservo.systems.signals.volume import Volume
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ReconstructedVolume(Volume):
-    """Volume with voxels at the positions seen by the frames, in a frame P that does not move.
-
-    The other parameters are those of `Volume`.
-
-    Parameters
-    ----------
-    frames
-        (nx, ny, nz) float32 number of the frame in which each voxel was seen, fractional between
-        two frames. It is NaN for voxels that no frame has passed, and in gaps that are too wide.
-    frame_times
-        (n,) times of the frames in s.
-    frame_poses
-        (n, 4, 4) poses of the frames in W, in m: X along the rows of pixels, Y along the depth.
-
-    Raises
-    ------
-    ValueError
-        If a shape is wrong.
-    """
+    """Volume with voxels at the positions seen by the frames, in a frame P that does not move."""
 
     frames: NDArray[np.float32]
-    frame_times: NDArray[np.float64]
-    frame_poses: NDArray[np.float64]
+    """(nx, ny, nz) number of the frame in which each voxel was seen, fractional between two frames.
+    It is NaN for voxels that no frame has passed, and in gaps that are too wide."""
+
+    frame_times: Annotated[NDArray[np.float64], Shape("f")]
+    """Times of the frames in s."""
+
+    frame_poses: Annotated[NDArray[np.float64], Shape("f", 4, 4)]
+    """Poses of the frames in W, in m: X along the rows of pixels, Y along the depth."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
         shape = self.intensities.shape
         require(self.frames.shape == shape, "frames", self.frames.shape, f"of shape {shape}")
         object.__setattr__(self, "frames", own(self.frames))
-        times = read_only(self.frame_times, "frame_times", (None,))
-        poses = read_only(self.frame_poses, "frame_poses", (len(times), 4, 4))
-        object.__setattr__(self, "frame_times", times)
-        object.__setattr__(self, "frame_poses", poses)
 
     @cached_property
     def seen(self) -> NDArray[np.bool_]:

@@ -4,11 +4,13 @@ A failed one is a ValueError that names the field, its value and what is allowed
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from functools import cache
 from numbers import Real
-from typing import Annotated, Any, TypeAlias, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, TypeAlias, TypeVar, cast, get_args, get_origin, get_type_hints
+
+T = TypeVar("T")
 
 MAX_TIME = 1e6
 """Longest time that a scenario may ask for, in s: eleven days."""
@@ -18,33 +20,6 @@ def require(condition: bool, name: str, value: object, allowed: str) -> None:
     """Raise ValueError naming the field, its value and what is allowed, unless ``condition``."""
     if not condition:
         raise ValueError(f"{name}: {value!r} is not allowed; it must be {allowed}")
-
-
-def require_positive(**values: float) -> None:
-    """Raise ValueError unless every value is a finite number above zero."""
-    for name, value in values.items():
-        require(_is_finite(value) and value > 0, name, value, "a number above 0")
-
-
-def require_not_negative(**values: float) -> None:
-    """Raise ValueError unless every value is a finite number of at least zero."""
-    for name, value in values.items():
-        require(_is_finite(value) and value >= 0, name, value, "a number of at least 0")
-
-
-def require_within(name: str, value: float, low: float, high: float) -> None:
-    """Raise ValueError unless a number lies between two limits, or is equal to one."""
-    require(
-        _is_finite(value) and low <= value <= high, name, value, f"from {low:.4g} to {high:.4g}"
-    )
-
-
-def require_time(*, positive: bool = False, **values: float) -> None:
-    """Raise ValueError unless every value is a time from zero, or above it, to `MAX_TIME`."""
-    for name, value in values.items():
-        fits = _is_finite(value) and 0 <= value <= MAX_TIME and (value > 0 or not positive)
-        start = "above 0 and at most" if positive else "from 0 to"
-        require(fits, name, value, f"{start} {MAX_TIME:g} s")
 
 
 def _is_finite(value: object) -> bool:
@@ -98,8 +73,31 @@ def count_of(count: int, what: str = "numbers") -> Bound:
     return Bound(f"{numerals.get(count, count)} {what}", lambda value: len(value) == count)
 
 
+def require_positive(**values: float) -> None:
+    """Raise ValueError unless every value is a finite number above zero."""
+    _require_each(above(0), values)
+
+
+def require_not_negative(**values: float) -> None:
+    """Raise ValueError unless every value is a finite number of at least zero."""
+    _require_each(at_least(0), values)
+
+
+def require_within(name: str, value: float, low: float, high: float) -> None:
+    """Raise ValueError unless a number lies between two limits, or is equal to one."""
+    _require_each(within(low, high), {name: value})
+
+
+def _require_each(bound: Bound, values: Mapping[str, object]) -> None:
+    for name, value in values.items():
+        require(bound.fits(value), name, value, bound.allowed)
+
+
 Positive: TypeAlias = Annotated[float, above(0)]
 """Number above 0."""
+
+Finite: TypeAlias = Annotated[float, Bound("finite", _is_finite)]
+"""Number that is finite."""
 
 NotNegative: TypeAlias = Annotated[float, at_least(0)]
 """Number of at least 0."""
@@ -110,10 +108,7 @@ Fraction: TypeAlias = Annotated[float, within(0, 1)]
 PositiveInt: TypeAlias = Annotated[int, at_least(1)]
 """Whole number of at least 1."""
 
-Time: TypeAlias = Annotated[
-    float,
-    Bound(f"from 0 to {MAX_TIME:g} s", lambda value: _is_finite(value) and 0 <= value <= MAX_TIME),
-]
+Time: TypeAlias = Annotated[float, within(0, MAX_TIME, " s")]
 """Time from 0 to `MAX_TIME`, in s."""
 
 PositiveTime: TypeAlias = Annotated[
@@ -135,7 +130,7 @@ def check_bounds(value: Any) -> None:
     A field that may be None is not checked while it is; of a list, each element is.
     """
     schema: Any = type(value)
-    for name, bound, of_elements, optional in _bounds(schema):
+    for name, bound, of_elements, optional in annotations_of(schema, Bound):
         held = getattr(value, name)
         if held is None and optional:
             continue
@@ -148,7 +143,8 @@ def check_bounds(value: Any) -> None:
 
 def bounded_fields(schema: type) -> list[str]:
     """Return the names of a dataclass's fields that have a bound themselves."""
-    return list({name: None for name, _, of_elements, _ in _bounds(schema) if not of_elements})
+    found = annotations_of(schema, Bound)
+    return list({name: None for name, _, of_elements, _ in found if not of_elements})
 
 
 class Bounded:
@@ -164,13 +160,17 @@ class Bounded:
 
 
 @cache
-def _bounds(schema: type) -> list[tuple[str, Bound, bool, bool]]:
-    """Return field, bound, if it is that of a list's elements, and if the field may be None."""
+def annotations_of(schema: type, kind: type[T]) -> list[tuple[str, T, bool, bool]]:
+    """Return the annotations of one kind in the types of a dataclass's fields.
+
+    Each has the field's name, whether it belongs to a list's elements, and whether the field may be
+    None.
+    """
     hints = get_type_hints(schema, include_extras=True)
     return [
-        (each.name, *bound, _may_be_none(hints[each.name]))
-        for each in fields(schema)
-        for bound in _found(hints[each.name])
+        (each.name, *found, _may_be_none(hints[each.name]))
+        for each in fields(cast(Any, schema))
+        for found in _found(hints[each.name], kind)
     ]
 
 
@@ -178,9 +178,9 @@ def _may_be_none(hint: Any) -> bool:
     return type(None) in get_args(hint.__origin__ if get_origin(hint) is Annotated else hint)
 
 
-def _found(hint: Any, of_elements: bool = False) -> list[tuple[Bound, bool]]:
+def _found(hint: Any, kind: type[T], of_elements: bool = False) -> list[tuple[T, bool]]:
     if get_origin(hint) is Annotated:
-        own = [(each, of_elements) for each in hint.__metadata__ if isinstance(each, Bound)]
-        return own + _found(hint.__origin__, of_elements)
+        own = [(each, of_elements) for each in hint.__metadata__ if isinstance(each, kind)]
+        return own + _found(hint.__origin__, kind, of_elements)
     inner = of_elements or get_origin(hint) is list
-    return [bound for each in get_args(hint) for bound in _found(each, inner)]
+    return [found for each in get_args(hint) for found in _found(each, kind, inner)]

@@ -9,14 +9,9 @@ from numpy.typing import ArrayLike, NDArray
 from pydrake.math import RigidTransform
 
 from sonoservo.systems.sampling.interpolation import sample_grid
-from sonoservo.systems.signals.immutable import Immutable, read_only
+from sonoservo.systems.signals.immutable import Immutable, Shape
 from sonoservo.systems.signals.point_spread import PointSpread
-from sonoservo.systems.signals.requirements import (
-    Positive,
-    at_least,
-    check_bounds,
-    require,
-)
+from sonoservo.systems.signals.requirements import NotNegative, Positive, at_least, require
 
 DECIBELS_PER_LEVEL = 60 / 255
 """Default of the decibels per grey level of an image: 0 to 255 show 60 dB."""
@@ -46,40 +41,36 @@ class SweepGeometry(Immutable):
     If both radii are zero, the sector starts from a single point.
 
     Frames are numbered towards +Z for either direction of the motor.
-
-    Parameters
-    ----------
-    array_radius, motor_radius
-        Distances from the face to the array's centre of curvature and to the motor's axis, in m.
-    line_pitch, frame_pitch
-        Angles between neighbouring lines and frames, in rad.
-    sample_pitch
-        Distance between neighbouring samples of a line, in m.
-    lines, frames, samples
-        Numbers of lines in a frame, frames in a sweep (1 for a single slice), and samples in a
-        line.
-    frame_period
-        Time between the starts of successive frames, in s.
-    sound_speed
-        Speed of sound, in m/s.
     """
 
-    array_radius: Annotated[float, at_least(0)]
-    motor_radius: Annotated[float, at_least(0)]
+    array_radius: NotNegative
+    motor_radius: NotNegative
+    """Distances from the face to the array's centre of curvature and to the motor's axis, in m."""
+
     line_pitch: Positive
     frame_pitch: Positive
+    """Angles between neighbouring lines and frames, in rad."""
+
     sample_pitch: Positive
-    lines: int
-    frames: int
-    samples: int
+    """Distance between neighbouring samples of a line, in m."""
+
+    lines: Annotated[int, at_least(2)]
+    """Number of lines in a frame."""
+
+    frames: Annotated[int, at_least(1)]
+    """Number of frames in a sweep; 1 for a single slice."""
+
+    samples: Annotated[int, at_least(2)]
+    """Number of samples in a line."""
+
     frame_period: Positive
+    """Time between the starts of successive frames, in s."""
+
     sound_speed: Positive = 1540.0
+    """Speed of sound, in m/s."""
 
     def __post_init__(self) -> None:
-        check_bounds(self)
-        for name, min_count in (("frames", 1), ("lines", 2), ("samples", 2)):
-            count = getattr(self, name)
-            require(count >= min_count, name, count, f"at least {min_count}")
+        super().__post_init__()
         least = self.min_frame_period
         require(
             self.frame_period >= least * (1 - 1e-9),
@@ -173,30 +164,25 @@ class SweepGeometry(Immutable):
 
 @dataclass(frozen=True, eq=False)
 class SweepMotion(Immutable):
-    """Time and pose at which each frame of a sweep was acquired.
-
-    Parameters
-    ----------
-    geometry
-        Geometry of the sweep.
-    direction
-        +1 for a sweep towards +Z, -1 towards -Z.
-    times
-        (frames,) times of the frames in s. They descend with the frame's number if direction is -1.
-    X_WP
-        (frames, 4, 4) poses of the probe in the world at the frames' times.
-    """
+    """Time and pose at which each frame of a sweep was acquired."""
 
     geometry: SweepGeometry
+
     direction: int
-    times: NDArray[np.float64]
-    X_WP: NDArray[np.float64]
+    """+1 for a sweep towards +Z, -1 towards -Z."""
+
+    times: Annotated[NDArray[np.float64], Shape("f")]
+    """Times of the frames in s. They descend with the frame's number if the direction is -1."""
+
+    X_WP: Annotated[NDArray[np.float64], Shape("f", 4, 4)]
+    """Poses of the probe in the world at the frames' times."""
 
     def __post_init__(self) -> None:
-        frames = self.geometry.frames
         require(self.direction in (1, -1), "direction", self.direction, "+1 or -1")
-        object.__setattr__(self, "times", read_only(self.times, "times", (frames,)))
-        object.__setattr__(self, "X_WP", read_only(self.X_WP, "X_WP", (frames, 4, 4)))
+        super().__post_init__()
+
+    def _extents(self) -> dict[str, int]:
+        return {"f": self.geometry.frames}
 
     @classmethod
     def at_rest(
@@ -236,30 +222,29 @@ class SweepMotion(Immutable):
 
 
 @dataclass(frozen=True, eq=False)
+class MotionRecord(Immutable):
+    """Motion of a sweep as it was measured and in truth; for logs only."""
+
+    measured: SweepMotion
+    true: SweepMotion
+
+
+@dataclass(frozen=True, eq=False)
 class Sweep(Immutable):
-    """Pre-scan samples of one sweep.
+    """Pre-scan samples of one sweep."""
 
-    Parameters
-    ----------
-    samples
-        (frames, lines, samples) uint8 log-compressed echo amplitudes.
-    motion
-        Time and pose at which each frame was acquired.
-    decibels_per_level
-        Decibels per grey level.
-    point_spread
-        Widths of a point's echo by depth; None if unknown.
-    """
+    samples: Annotated[NDArray[np.uint8], Shape("f", "l", "s", dtype=np.uint8)]
+    """(frames, lines, samples) log-compressed echo amplitudes."""
 
-    samples: NDArray[np.uint8]
     motion: SweepMotion
-    decibels_per_level: Positive = DECIBELS_PER_LEVEL
-    point_spread: PointSpread | None = None
 
-    def __post_init__(self) -> None:
-        check_bounds(self)
-        shape = self.motion.geometry.shape
-        object.__setattr__(self, "samples", read_only(self.samples, "samples", shape, np.uint8))
+    decibels_per_level: Positive = DECIBELS_PER_LEVEL
+
+    point_spread: PointSpread | None = None
+    """Widths of a point's echo by depth; None if unknown."""
+
+    def _extents(self) -> dict[str, int]:
+        return dict(zip("fls", self.geometry.shape, strict=True))
 
     @property
     def geometry(self) -> SweepGeometry:

@@ -1,8 +1,8 @@
-"""Volume on a Cartesian grid."""
+"""Volume on a Cartesian grid, and the check of those before a tracker."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,9 +10,9 @@ from pydrake.math import RigidTransform
 
 from sonoservo.systems.sampling.interpolation import sample_flags, sample_grid
 from sonoservo.systems.sampling.seen_hull import cut_level, darkest, seen_hull
-from sonoservo.systems.signals.immutable import Immutable, read_only, seal
+from sonoservo.systems.signals.immutable import Immutable, Shape, Vector3, read_only, seal
 from sonoservo.systems.signals.point_spread import PointSpread
-from sonoservo.systems.signals.requirements import Positive, check_bounds, require, require_positive
+from sonoservo.systems.signals.requirements import Finite, Positive, require
 from sonoservo.systems.signals.sweep import DECIBELS_PER_LEVEL, SweepGeometry, SweepMotion
 
 _MAX_SPACING = 0.02
@@ -21,49 +21,37 @@ _MAX_SPACING = 0.02
 
 @dataclass(frozen=True, eq=False)
 class Volume(Immutable):
-    """Intensities on a Cartesian grid aligned with the probe frame P.
-
-    Parameters
-    ----------
-    intensities
-        (nx, ny, nz) array of echo amplitudes, log-compressed to 0 to 255, as uint8 or as finite
-        float32 on the same scale. Element [i, j, k] lies at ``origin + spacing * (i, j, k)`` in P.
-        Elements that were not seen are zero; those that were may be.
-    origin
-        (3,) position in P of element [0, 0, 0], in m.
-    spacing
-        (3,) distances between neighbouring elements along X, Y, Z, in m.
-    X_WP
-        Pose of the probe in the world, at ``time``.
-    time
-        Time of the middle of the acquisition, in s.
-    motion
-        Time and pose at which each frame was acquired. If it is unknown (None), the whole volume
-        counts as acquired at ``time`` from ``X_WP``.
-    decibels_per_level
-        Decibels per unit of intensity.
-    point_spread
-        Widths of a point's echo by depth; None if unknown.
-    mask
-        (nx, ny, nz) flags of the elements that were seen, if whoever made the volume knows them;
-        see `seen`.
-
-    Raises
-    ------
-    ValueError
-        If a shape is wrong, an axis has fewer than 2 elements, a spacing is not above zero or
-        exceeds 20 mm, or a value is not finite.
-    """
+    """Intensities on a Cartesian grid aligned with the probe frame P."""
 
     intensities: NDArray[np.uint8] | NDArray[np.float32]
-    origin: NDArray[np.float64]
-    spacing: NDArray[np.float64]
+    """(nx, ny, nz) echo amplitudes, log-compressed to 0 to 255, as uint8 or as finite float32 on
+    the same scale. Element [i, j, k] lies at ``origin + spacing * (i, j, k)`` in P. Elements that
+    were not seen are zero; those that were may be."""
+
+    origin: Vector3
+    """Position in P of element [0, 0, 0], in m."""
+
+    spacing: Vector3
+    """Distances between neighbouring elements along X, Y, Z, in m, of at most 20 mm."""
+
     X_WP: RigidTransform
-    time: float
+    """Pose of the probe in the world, at ``time``."""
+
+    time: Finite
+    """Time of the middle of the acquisition, in s."""
+
     motion: SweepMotion | None = None
+    """Time and pose at which each frame was acquired. If it is unknown (None), the whole volume
+    counts as acquired at ``time`` from ``X_WP``."""
+
     decibels_per_level: Positive = DECIBELS_PER_LEVEL
+    """Decibels per unit of intensity."""
+
     point_spread: PointSpread | None = None
-    mask: NDArray[np.bool_] | None = None
+    """Widths of a point's echo by depth; None if unknown."""
+
+    mask: Annotated[NDArray[np.bool_], Shape("x", "y", "z", dtype=np.bool_)] | None = None
+    """Flags of the elements that were seen, if whoever made the volume knows them; see `seen`."""
 
     def __post_init__(self) -> None:
         array = np.asarray(self.intensities)
@@ -73,17 +61,14 @@ class Volume(Immutable):
             min(array.shape) >= 2, "intensities.shape", array.shape, "at least 2 along each axis"
         )
         object.__setattr__(self, "intensities", array)
-        object.__setattr__(self, "origin", read_only(self.origin, "origin", (3,)))
-        object.__setattr__(self, "spacing", read_only(self.spacing, "spacing", (3,)))
-        require_positive(**{f"spacing[{axis}]": s for axis, s in enumerate(self.spacing)})
+        super().__post_init__()
         for axis, spacing in enumerate(self.spacing):
-            allowed = f"at most {_MAX_SPACING:g} m; lengths are in m, and 0.7 mm is 0.7e-3"
-            require(spacing <= _MAX_SPACING, f"spacing[{axis}]", float(spacing), allowed)
-        require(bool(np.isfinite(self.time)), "time", self.time, "finite")
-        check_bounds(self)
-        if self.mask is not None:
-            mask = read_only(self.mask, "mask", array.shape, np.bool_)
-            object.__setattr__(self, "mask", mask)
+            allowed = f"above 0 and at most {_MAX_SPACING:g} m; lengths are in m, and 0.7 mm is "
+            fits = 0 < spacing <= _MAX_SPACING
+            require(fits, f"spacing[{axis}]", float(spacing), f"{allowed}0.7e-3")
+
+    def _extents(self) -> dict[str, int]:
+        return dict(zip("xyz", self.intensities.shape, strict=True))
 
     @cached_property
     def seen(self) -> NDArray[np.bool_]:
@@ -146,6 +131,16 @@ class Volume(Immutable):
     def to_probe(self, p_W: ArrayLike) -> NDArray[np.float64]:
         """Return the (m, 3) positions in P, in m, of positions in W, for the pose at ``time``."""
         return self.X_WP.inverse().multiply(np.asarray(p_W, dtype=float).T).T.reshape(-1, 3)
+
+
+@dataclass(frozen=True)
+class VolumeCheck(Immutable):
+    """Numbers of volumes accepted and refused so far, before a tracker."""
+
+    accepted: int = 0
+    refused: int = 0
+    reason: str = ""
+    """Reason why the newest volume was refused; empty if it was accepted."""
 
 
 @lru_cache(maxsize=4)

@@ -196,7 +196,6 @@ def class_logs(  # pragma: no cover - compiled
     count, times, bins = logs.shape
     result = np.full((count, 5), -1e3)
     factors, turned = np.zeros((times, bins)), np.zeros((times, bins))
-    before, beyond = np.zeros(bins + 1), np.zeros(bins + 1)
     first = np.zeros(bins + 1)
     for n in range(count):
         bound = 0.0
@@ -207,7 +206,7 @@ def class_logs(  # pragma: no cover - compiled
             bound += highest
             factors[0, b] = math.exp(min(_SHARE * logs[n, 0, b], _LARGEST))
             turned[0, bins - 1 - b] = factors[0, b]
-        before[:] = _stretches(factors[0])
+        before = _stretches(factors[0])
         back = _stretches(turned[0])
         result[n, 2] = before[bins]
         result[n, 3] = _stretches(np.exp(_SHARE * riding[n]))[bins]
@@ -233,9 +232,7 @@ def class_logs(  # pragma: no cover - compiled
             first[:] = (1 - _ENTERING) / (bins + 1)
             first[seen] += _ENTERING
             if way == 0:
-                beyond[:] = back[::-1]
-                result[n, 0] = _advancing(one, before, beyond, first, moves)
+                result[n, 0] = _advancing(one, before, back[::-1], first, moves)
             else:
-                beyond[:] = before[::-1]
-                result[n, 1] = _advancing(one, back, beyond, first, moves)
+                result[n, 1] = _advancing(one, back, before[::-1], first, moves)
     return result

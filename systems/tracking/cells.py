@@ -1,5 +1,6 @@
 """Cells of a volume: their levels above the surroundings, and how the tissue moved between two."""
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,11 +14,9 @@ from sonoservo.systems.signals.volume import Volume
 
 Floats = NDArray[np.float64]
 
-CELL = 1.5e-3
-"""Smallest edge length of a cell, in m: less than a beam's width, so that no line falls between."""
-
-_MOST_CELLS = 50_000
-"""Number of cells from which on larger ones are used."""
+_CELL, _MOST_CELLS = 1.5e-3, 50_000
+"""Smallest edge length of a cell, in m: no wider than the beam. Beyond a number of cells, larger
+ones are used; a line that fills a part of them still brightens their power."""
 
 _AROUND = 13e-3
 """Edge length in m of the cube over which the level around a cell is averaged."""
@@ -36,9 +35,12 @@ _STEPS, _CONVERGED = 8, 0.02
 
 @njit(cache=True, nogil=True)
 def _cell_levels(  # pragma: no cover - compiled
-    intensities: Any, seen: Any, bx: int, by: int, bz: int
+    intensities: Any, powers: Any, seen: Any, bx: int, by: int, bz: int
 ) -> Any:
-    """Return the mean intensity of each block of voxels, and whether most of it was seen."""
+    """Return the mean power of each block of voxels in dB, and whether most of it was seen.
+
+    ``powers`` are those of the grey levels, relative to the lowest.
+    """
     nx, ny, nz = intensities.shape
     means = np.zeros((nx // bx, ny // by, nz // bz), np.float32)
     shown = np.zeros(means.shape, np.bool_)
@@ -49,10 +51,12 @@ def _cell_levels(  # pragma: no cover - compiled
                 for i in range(p * bx, p * bx + bx):
                     for j in range(q * by, q * by + by):
                         for k in range(r * bz, r * bz + bz):
-                            total += intensities[i, j, k]
-                            count += seen[i, j, k]
+                            if seen[i, j, k]:
+                                total += powers[int(min(intensities[i, j, k], 255) + 0.5)]
+                                count += 1
                 if 2 * count >= bx * by * bz:
-                    means[p, q, r], shown[p, q, r] = total / count, True
+                    means[p, q, r] = 10 * math.log10(total / count)
+                    shown[p, q, r] = True
     return means, shown
 
 
@@ -78,11 +82,11 @@ class Cells:
 
 def cells_of(volume: Volume) -> Cells:
     """Return the cells of a volume."""
-    edge = max(CELL, float(np.prod(volume.upper - volume.origin) / _MOST_CELLS) ** (1 / 3))
+    edge = max(_CELL, float(np.prod(volume.upper - volume.origin) / _MOST_CELLS) ** (1 / 3))
     size = np.maximum(1, np.round(edge / volume.spacing)).astype(int)
     edges = size * volume.spacing
-    means, seen = _cell_levels(volume.intensities, volume.seen, *size)
-    means *= np.float32(volume.decibels_per_level)
+    powers = 10 ** (0.1 * volume.decibels_per_level * np.arange(256))
+    means, seen = _cell_levels(volume.intensities, powers, volume.seen, *size)
     window = np.maximum(3, np.round(_AROUND / edges)).astype(int)
     share = uniform_filter(seen.astype(np.float32), window, mode="constant")
     around = uniform_filter(means, window, mode="constant") / np.maximum(share, np.float32(0.05))

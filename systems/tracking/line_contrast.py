@@ -222,7 +222,7 @@ def contrasts_and_sides(
         volume.seen,
         volume.index(points + MIDDLES[0] * directions),
         BIN * directions / volume.spacing,
-        across(directions) / volume.spacing,
+        np.ascontiguousarray(across(directions) / volume.spacing),
         BINS,
     )
     scale = np.float32(volume.decibels_per_level)

@@ -16,12 +16,13 @@ Floats = NDArray[np.float64]
 _STEEPEST = 0.92
 """Largest share of the depth's direction in the direction of a line that is searched for."""
 
-_DARK_SIDES = -1.0
-"""Level above the surroundings at which sides get no darker, in dB. Shadows would otherwise make
-the tissue beside them a line."""
+_UNIT = 0.125
+"""Unit of levels in dB. A half of a line has at most eleven cells, of at most 14 dB; their sum with
+the other half's, times eleven, is still a short whole number."""
 
-_UNEVEN = 2.0
-"""Largest contrast of a line above that of its darker half, in dB."""
+_DARK_SIDES, _UNEVEN = -8, 16
+"""Level above the surroundings at which sides get no darker, as shadows would otherwise make the
+tissue beside them a line; and largest contrast of a line above that of its darker half."""
 
 HALF_LENGTH, _BESIDE, _STEP, _APART = 10e-3, 4.5e-3, 0.2, 4e-3
 """Half the length of a line and distance of the parallel lines in m, angle between neighbouring
@@ -37,23 +38,29 @@ def _line_contrasts(  # pragma: no cover - compiled
 ) -> Any:
     """Return the largest contrast of a line centred on each cell, and the number of its direction.
 
+    All sums are of short whole numbers, many of which a processor adds at once.
+
     Parameters
     ----------
     levels
-        (n,) levels of all cells above their surroundings in dB, with margins between their rows
-        and a further one at either end.
+        (n,) levels of all cells above their surroundings in `_UNIT`, with margins between their
+        rows and a further one at either end.
     margin
         Length of the margin at either end.
     along, beside
         (d, h) and (d, b) differences of index between the centre of a line in each of d directions
         and the cells of one half of it, and between the line and those beside it.
+
+    Returns
+    -------
+    (n,) contrasts in `_UNIT`, times h and the number of a line's cells; and (n,) directions.
     """
-    n, half = len(levels) - 2 * margin, along.shape[1]
-    best, direction = np.zeros(n, np.float32), np.zeros(n, np.int32)
-    halves, whole = np.zeros(len(levels), np.float32), np.zeros(len(levels), np.float32)
-    side = np.zeros(n, np.float32)
-    per_half, per_line = np.float32(1 / half), np.float32(1 / (2 * half + 1))
-    dark, uneven = np.float32(_DARK_SIDES), np.float32(_UNEVEN)
+    n, half = len(levels) - 2 * margin, np.int16(along.shape[1])
+    cells_of_line = np.int16(2 * half + 1)
+    best, direction = np.zeros(n, np.int16), np.zeros(n, np.int16)
+    halves, whole = np.zeros(len(levels), np.int16), np.zeros(len(levels), np.int16)
+    side = np.zeros(n, np.int16)
+    dark, uneven = np.int16(_DARK_SIDES * cells_of_line), np.int16(_UNEVEN * half * cells_of_line)
     centre = levels[margin : margin + n]
     for d in range(len(along)):
         # Views that begin at zero let the compiler see that no index is negative.
@@ -68,15 +75,15 @@ def _line_contrasts(  # pragma: no cover - compiled
         behind = halves[margin - back : margin - back + n]
         line = whole[margin : margin + n]
         for x in range(n):
-            line[x] = (ahead[x] + behind[x] + centre[x]) * per_line
+            line[x] = ahead[x] + behind[x] + centre[x]
         side[:] = dark
         for s in range(beside.shape[1]):
             other = whole[margin + beside[d, s] : margin + beside[d, s] + n]
             for x in range(n):
                 side[x] = max(side[x], other[x])
         for x in range(n):
-            darker = min(ahead[x], behind[x]) * per_half
-            contrast = min(line[x], darker + uneven) - side[x]
+            darker = min(ahead[x], behind[x]) * cells_of_line + uneven
+            contrast = np.int16(min(line[x] * half, darker) - side[x] * half)
             if contrast > best[x]:
                 best[x], direction[x] = contrast, d
     return best, direction
@@ -177,7 +184,8 @@ def bright_lines(cells: Cells, count: int) -> tuple[Floats, Floats]:
         for each in (directions[:, np.newaxis] * steps, _BESIDE * _around(directions))
     )
     margin = 2 * int(max(np.abs(along).max(), np.abs(aside).max()))
-    contrast, number = _all_contrasts(np.pad(padded.ravel(), margin), margin, along, aside)
+    whole = np.pad(np.round(padded.ravel() / _UNIT).astype(np.int16), margin)
+    contrast, number = _all_contrasts(whole, margin, along, aside)
     contrast = np.where(cells.seen, contrast.reshape(padded.shape)[:, :-half, :-half], 0).ravel()
     number = number.reshape(padded.shape)[:, :-half, :-half].ravel()
 

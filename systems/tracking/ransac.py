@@ -295,7 +295,7 @@ def ransac_axis(
     parameters = parameters or RansacParameters()
     if len(points) <= order:
         return NotFound(f"{len(points)} candidates are too few for an axis of order {order}")
-    expected = np.zeros(3) if direction is None else np.asarray(direction, dtype=float)
+    expected = np.zeros(3) if direction is None else np.array(direction, float)  # writable
     min_cosine = 0.0 if direction is None else math.cos(max_angle)
     draws, rejected, inliers, solution = _consensus(
         np.ascontiguousarray(points),

@@ -8,8 +8,7 @@ from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 from sonoservo.systems.signals.immutable import Immutable, NotFound
 from sonoservo.systems.signals.ports import declare_inputs, declare_output, evaluate
 from sonoservo.systems.signals.requirements import require_not_negative, require_positive
-from sonoservo.systems.signals.volume import Volume
-from sonoservo.systems.signals.volume_check import VolumeCheck
+from sonoservo.systems.signals.volume import Volume, VolumeCheck
 from sonoservo.systems.tracking.volume_plausibility import (
     VolumePlausibilityParameters,
     implausible,

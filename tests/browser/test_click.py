@@ -9,6 +9,7 @@ import pytest
 from rich.console import Console as Terminal
 
 from sonoservo.diagrams import load_scenario, make_experiment, run
+from sonoservo.diagrams.app.options import Page
 from sonoservo.diagrams.app.pages import first_click
 from sonoservo.diagrams.app.pages.first_click import ask_click, first_slice
 from sonoservo.systems.files.refusals import ConfigurationError
@@ -36,7 +37,9 @@ def test_a_run_starts_where_somebody_clicked(scenario, open_page, tmp_path, monk
         first_click, "announce", lambda terminal, words, address, **_: addresses.put(address)
     )
     terminal = Terminal(file=io.StringIO())
-    threading.Thread(target=lambda: clicked.put(ask_click(scenario, terminal)), daemon=True).start()
+    threading.Thread(
+        target=lambda: clicked.put(ask_click(scenario, terminal, Page())), daemon=True
+    ).start()
     page = open_page(addresses.get(timeout=120))
     image = first_slice(scenario)
     place = make_experiment(scenario).true_path(np.zeros(1))[0, :2] + np.array([0.4e-3, -0.3e-3])
@@ -74,7 +77,7 @@ def test_the_slice_is_the_first_that_arrives(lost, seed):
 def test_there_is_nothing_to_click_on_in_a_scenario_of_following():
     scenario = load_scenario("chatelain2013_fig5")
     with pytest.raises(ConfigurationError, match="one of 'shape_prediction' is needed"):
-        ask_click(scenario, Terminal(file=io.StringIO()))
+        ask_click(scenario, Terminal(file=io.StringIO()), Page())
 
 
 def test_a_scanner_that_loses_every_slice_leaves_nothing_to_click_on(scenario):

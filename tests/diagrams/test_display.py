@@ -11,6 +11,7 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from sonoservo.diagrams.app.cli import app
+from sonoservo.diagrams.app.options import Page
 from sonoservo.diagrams.app.pages import pages as pages_module
 from sonoservo.diagrams.app.pages.pages import has_desktop, open_pages
 from sonoservo.systems.files.refusals import ConfigurationError
@@ -50,7 +51,7 @@ def test_only_this_machine_reaches_the_pages_unless_told_otherwise(opened):
     if OUTSIDE is None:
         pytest.skip("this machine has no address but its own loop")
     private = opened(Console(quiet=True))
-    public = opened(Console(quiet=True), world=False, host="*")
+    public = opened(Console(quiet=True), page=Page(host="*"), world=False)
     assert connects("localhost", private.site.port)
     assert not connects(OUTSIDE, private.site.port)
     assert not connects(OUTSIDE, private.meshcat.port())
@@ -103,7 +104,7 @@ def test_the_page_opens_by_itself_where_there_is_a_desktop(monkeypatch, opened, 
     monkeypatch.setattr(pages_module.webbrowser, "open", urls.append)
     person = Console(file=io.StringIO(), force_interactive=True)
     page = opened(person, world=False)
-    opened(person, world=False, by_itself=False)
+    opened(person, page=Page(open_page=False), world=False)
     opened(Console(file=io.StringIO(), force_interactive=False), world=False)  # a batch
     assert urls == [page.console.web_url]
 
@@ -111,7 +112,7 @@ def test_the_page_opens_by_itself_where_there_is_a_desktop(monkeypatch, opened, 
 @pytest.mark.parametrize("host", ["198.51.100.7", "no such host"])
 def test_an_address_of_another_machine_is_refused(host):
     with pytest.raises(ConfigurationError, match="host: .* address of this machine"):
-        open_pages(Console(quiet=True), "a test", host=host)
+        open_pages(Console(quiet=True), "a test", Page(host=host))
 
 
 def test_a_wrong_host_ends_the_command_before_anything_is_written(tmp_path):

@@ -143,13 +143,12 @@ def test_without_the_guard_the_force_is_not_held():
 @pytest.mark.parametrize("end", [0, 1])
 def test_the_guard_holds_at_the_ends_of_its_own_parameters(end):
     ends = changed({"guards": {name: values[end] for name, values in GUARDS.items()}})
-    for motion in (UP, body(rise(0.05, 0.1))):
-        (result,) = run_faults([FaultCase(faults=(fault("nan"),), motion=motion, controller=ends)])
-        assert not result.faults, fault_table([result])
+    (result,) = run_faults([FaultCase(faults=(fault("nan"),), motion=UP, controller=ends)])
+    assert not result.faults, fault_table([result])
 
 
 def test_faults_that_a_seed_draws():
-    results = run_faults(draw_case(seed) for seed in range(6))
+    results = run_faults(draw_case(seed) for seed in range(3))
     bad = [each for each in results if each.faults]
     assert not bad, fault_table(bad)
 

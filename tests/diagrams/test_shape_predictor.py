@@ -7,8 +7,7 @@ from pydrake.systems.analysis import Simulator
 from sonoservo.diagrams.shape_predictor import MakeShapePredictor
 from sonoservo.systems.shape.cross_section import CrossSectionParameters
 from sonoservo.systems.signals.cross_section import CrossSection
-from sonoservo.systems.signals.image_click import ImageClick
-from sonoservo.systems.signals.image_slice import ImageSlice
+from sonoservo.systems.signals.image_slice import ImageClick, ImageSlice
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle_shape import NeedleShape
 

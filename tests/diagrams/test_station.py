@@ -1,8 +1,7 @@
 import numpy as np
 import pytest
-from pydrake.common.yaml import yaml_load_typed
 from pydrake.geometry import Meshcat
-from pydrake.math import RigidTransform, RollPitchYaw
+from pydrake.math import RollPitchYaw
 from pydrake.multibody.plant import MultibodyPlantConfig
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
@@ -155,22 +154,6 @@ def test_station_is_drawn():
     Bench(StationParameters(), meshcat=meshcat).run(0.05)
     for model in ("arm", "probe", "phantom"):
         assert meshcat.HasPath(f"/{model}"), model
-
-
-def test_parameters_load_from_yaml():
-    text = """
-    arm: lbr_iiwa_14
-    plant: {time_step: 0.001}
-    phantom_position: [0.45, 0, 0.25]
-    probe: {yaw_deg: -40}
-    """
-    parameters = yaml_load_typed(schema=StationParameters, data=text, defaults=StationParameters())
-    assert parameters.arm == "lbr_iiwa_14"
-    assert parameters.plant.time_step == 0.001
-    assert parameters.plant.discrete_contact_approximation == "lagged"
-    assert parameters.probe.yaw_deg == -40
-    assert parameters.probe.height == ProbePlacement().height
-    assert parameters.X_WT.IsExactlyEqualTo(RigidTransform([0.45, 0, 0.25]))
 
 
 def plant(**settings):

@@ -32,7 +32,7 @@ def replay_command(
     from sonoservo.diagrams.app.pages.pages import open_pages
 
     replay = read_replay(folder)
-    pages = open_pages(console, replay.title, host=page.host, by_itself=page.open_page, kept=folder)
+    pages = open_pages(console, replay.title, page, kept=folder)
     if not (folder / "replay.html").is_file():
         console.print("There is no replay.html: run with a page or with --replay for the world.")
     console.print("The slider `time` turns the run back and forth; Ctrl-C ends the replay.")

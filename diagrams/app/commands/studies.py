@@ -23,7 +23,6 @@ from sonoservo.diagrams.app.options import (
 )
 from sonoservo.diagrams.papers.registry import ALL, STUDIES, reproduce, require_paper
 from sonoservo.diagrams.published import PAPERS
-from sonoservo.diagrams.studies.progress import Heartbeat
 from sonoservo.systems.files.refusals import ConfigurationError
 
 if TYPE_CHECKING:
@@ -161,7 +160,7 @@ def reproduce_command(
         raise ConfigurationError(
             "--keep: no results of a quick study, of other seeds or of a part are kept"
         )
-    with Heartbeat(console, f"Preparing to reproduce {paper}"):  # seconds, where files are cold
+    with console.status(f"Preparing to reproduce {paper} ..."):  # seconds, where files are cold
         from sonoservo.diagrams.app.terminal import study_table
         from sonoservo.diagrams.papers.results import keep_results
         from sonoservo.diagrams.studies.study import StudyOptions
@@ -189,8 +188,8 @@ def reproduce_command(
         with opened(workers) as executor:
             for each in papers:
                 into = folder / each if paper == ALL else folder
-                with Heartbeat(console, f"Reproducing {each}"):
-                    studies.append(reproduce(each, replace(options, folder=into, cluster=executor)))
+                console.print(f"Reproducing {each} ...")
+                studies.append(reproduce(each, replace(options, folder=into, cluster=executor)))
                 # before its files, which a full disk would prevent
                 console.print(study_table(studies[-1], console.width))
     except KeyboardInterrupt:

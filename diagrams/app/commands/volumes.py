@@ -2,6 +2,7 @@
 
 import shlex
 import sys
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -29,7 +30,9 @@ from sonoservo.diagrams.app.options import (
 from sonoservo.systems.files.refusals import ConfigurationError
 
 if TYPE_CHECKING:
+    from sonoservo.diagrams.app.pages.pages import Pages
     from sonoservo.diagrams.app.volumes.opening import Opened
+    from sonoservo.diagrams.trackers.tracker_parts import TrackerParameters
     from sonoservo.systems.signals.needle_estimate import NeedleEstimate
 
 
@@ -58,18 +61,8 @@ def track_command(
     log: LogOption = None,
 ) -> None:
     """Track a needle through recorded or live volumes, and write a folder of results."""
-    from sonoservo.diagrams.app.live.track_live import track_address
-    from sonoservo.diagrams.app.terminal import (
-        VolumeProgress,
-        live_table,
-        mode_table,
-        mode_words,
-        reasons_lines,
-    )
-    from sonoservo.diagrams.app.viewed_run import ViewedRun
-    from sonoservo.diagrams.app.volumes.opening import open_volumes
-    from sonoservo.diagrams.app.volumes.track import track_recording, tracker_parameters
-    from sonoservo.systems.live.connection.protocols import is_address
+    from sonoservo.diagrams.app.volumes.track import tracker_parameters
+    from sonoservo.systems.live.connection.address import is_address
 
     live = is_address(source)
     parameters = tracker_parameters(
@@ -83,9 +76,7 @@ def track_command(
     if show:
         from sonoservo.diagrams.app.pages.pages import open_pages
 
-        title = source if live else Path(source).name
-        pages = open_pages(console, title, host=page.host, world=False, by_itself=page.open_page)
-    shown = pages.console if pages else None
+        pages = open_pages(console, source if live else Path(source).name, page, world=False)
     if live:
         reading.refuse_for_streams()
         for option, given in (("--log", log), ("--explain", explain)):
@@ -94,45 +85,100 @@ def track_command(
                     f"{option}: not possible with live volumes; record them (sonoservo bridge), "
                     f"and track the recording with {option}"
                 )
-        with console.status("waiting for the first volume") as status:
-            summary, folder, finding = track_address(
-                source,
-                tracker=tracker,
-                parameters=parameters,
-                reading=reading,
-                sending=sending,
-                limits=limits,
-                console=shown,
-                out=results.out,
-                after_volume=lambda k, found: status.update(f"volume {k + 1}  {found.mode}"),
-                say=say,
-            )
-        console.print(live_table(summary))
-        for line in filter(None, [*reasons_lines(summary), finding]):
-            say(line)
-        say(f"Results: {folder / 'estimates.csv'}")
-        write_printed(results.json_path, summary)
-        if pages:
-            pages.end(console, mode_words(summary))
-        return
-    path = Path(source)
-    opened = open_volumes(path, reading)
-    _say_about(opened)
+        _track_stream(source, tracker, parameters, reading, sending, limits, results, pages)
+    else:
+        _track_file(Path(source), tracker, parameters, reading, results, pages, explain=explain,
+                    real_time=real_time, log=log)  # fmt: skip
+
+
+def _track_stream(
+    address: str,
+    tracker: Tracker,
+    parameters: "TrackerParameters",
+    reading: ReadingFrames,
+    sending: Sending,
+    limits: LiveLimits,
+    results: Results,
+    pages: "Pages | None",
+) -> None:
+    from sonoservo.diagrams.app.live.serve import needle_names, opened
+    from sonoservo.diagrams.app.live.track_live import track_live
+    from sonoservo.diagrams.app.terminal import live_table, mode_words, reasons_lines
+    from sonoservo.diagrams.app.volumes.check import brief_stream_finding
+    from sonoservo.diagrams.app.volumes.opening import live_source
+    from sonoservo.systems.live.connection.address import parse_address
+
+    place = parse_address(address)
+    folder = results.out or Path("out") / f"{place.file_name}_track"
+    names = needle_names(sending.names or [], points=sending.points)
+    with ExitStack() as stack:
+        status = stack.enter_context(console.status("waiting for the first volume"))
+        live = stack.enter_context(live_source(place, reading, say))
+        outlets = []
+        for each in sending.serve or []:
+            own = str(parse_address(each)) == str(place)
+            outlets.append(live.link if own else stack.enter_context(opened(each, say)))
+        summary = track_live(
+            live,
+            parameters=parameters,
+            seed=tracker.seed,
+            outlets=outlets,
+            names=names,
+            console=pages.console if pages else None,
+            out=folder,
+            limits=limits,
+            correct_poses=tracker.correct_poses,
+            after_volume=lambda k, found: status.update(f"volume {k + 1}  {found.mode}"),
+            say=say,
+        )
+    console.print(live_table(summary))
+    for line in filter(None, [*reasons_lines(summary), brief_stream_finding(live)]):
+        say(line)
+    say(f"Results: {folder / 'estimates.csv'}")
+    write_printed(results.json_path, summary)
+    if pages:
+        pages.end(console, mode_words(summary))
+
+
+def _track_file(
+    path: Path,
+    tracker: Tracker,
+    parameters: "TrackerParameters",
+    reading: ReadingFrames,
+    results: Results,
+    pages: "Pages | None",
+    *,
+    explain: bool,
+    real_time: bool,
+    log: Path | None,
+) -> None:
+    from sonoservo.diagrams.app.terminal import (
+        VolumeProgress,
+        mode_table,
+        mode_words,
+        reasons_lines,
+    )
+    from sonoservo.diagrams.app.viewed_run import ViewedRun
+    from sonoservo.diagrams.app.volumes.opening import open_volumes
+    from sonoservo.diagrams.app.volumes.track import track_recording
+
+    recording = open_volumes(path, reading)
+    _say_about(recording)
     folder = results.out or Path("out") / f"{path.name.partition('.')[0]}_track"
     viewed = ViewedRun(log)
-    with VolumeProgress(console, path.name, len(opened)) as progress:
+    with VolumeProgress(console, path.name, len(recording)) as progress:
 
         def after_volume(number: int, estimate: "NeedleEstimate") -> None:
             progress(number, estimate)
             if log is not None:
-                viewed.show(opened[number], estimate)
+                viewed.show(recording[number], estimate)
 
         result = track_recording(
-            opened,
+            recording,
             parameters=parameters,
             seed=tracker.seed,
             real_time=real_time,
-            console=shown,
+            console=pages.console if pages else None,
             out=folder,
             explain=explain,
             correct_poses=tracker.correct_poses,
@@ -167,8 +213,11 @@ def bridge_command(
     wait_for: WaitOption = 1,
 ) -> None:
     """Record a live connection, or play a recording as a scanner would."""
-    from sonoservo.diagrams.app.live.bridge import play_file, record_address
-    from sonoservo.systems.live.connection.protocols import is_address
+    from sonoservo.diagrams.app.live.bridge import QUEUE, play_live, record_live
+    from sonoservo.diagrams.app.live.serve import opened
+    from sonoservo.diagrams.app.volumes.check import brief_stream_finding
+    from sonoservo.diagrams.app.volumes.opening import live_source, open_volumes
+    from sonoservo.systems.live.connection.address import is_address, parse_address
 
     if is_address(source) == is_address(target):
         raise ConfigurationError(
@@ -176,11 +225,21 @@ def bridge_command(
         )
     try:
         if is_address(target):
-            summary = play_file(
-                Path(source), target, reading, speed=speed, wait_for=wait_for, say=say
-            )
+            recording = open_volumes(Path(source), reading)
+            _say_about(recording)
+            with opened(target, say, wait_for=wait_for) as link:
+                summary = play_live(recording, link, speed=speed)
+            say(f"{summary['volumes']} volumes sent")
         else:
-            summary = record_address(source, Path(target), reading, limits=limits, say=say)
+            reading.refuse_for_streams()
+            with live_source(parse_address(source), reading, say, keep=QUEUE) as live:
+                summary = record_live(live, Path(target), limits=limits, say=say)
+                if line := brief_stream_finding(live):
+                    say(line)
+            reasons = summary["left_out_reasons"].items()
+            left_out = "".join(f", {count} left out ({why})" for why, count in reasons)
+            done = f"{summary['volumes']} volumes recorded, {summary['dropped']} dropped"
+            say(f"{done}{left_out}: {target}")
     except ValueError as error:
         raise ConfigurationError(str(error)) from error
     write_printed(results.json_path, summary)
@@ -256,7 +315,7 @@ def check_command(
     from sonoservo.diagrams.app.volumes.check import check_file, check_stream
     from sonoservo.systems.evaluation.reports.plots import png
     from sonoservo.systems.files.writing import write_atomically
-    from sonoservo.systems.live.connection.protocols import is_address, parse_address
+    from sonoservo.systems.live.connection.address import is_address, parse_address
 
     if is_address(source):
         reading.refuse_for_streams()

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from matplotlib.figure import Figure
-from rich.table import Table
+from rich.table import Table as TerminalTable
 
-from sonoservo.diagrams.app.run_result import format_figure, table_text
+from sonoservo.diagrams.app.run_result import table_text
 from sonoservo.diagrams.experiments.presenter import Presenter
 from sonoservo.diagrams.experiments.registry import (
     experiment_class,
@@ -24,8 +24,7 @@ from sonoservo.systems.evaluation.labels import look_up, sections
 from sonoservo.systems.evaluation.log import Log, read_log
 from sonoservo.systems.evaluation.reports.plots import png
 from sonoservo.systems.evaluation.reports.report import picture, web_page
-from sonoservo.systems.evaluation.table import Code
-from sonoservo.systems.evaluation.table import Table as ResultTable
+from sonoservo.systems.evaluation.table import Code, Strong, Table, cell_text
 from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
 from sonoservo.systems.files.writing import write_atomically, write_json
 
@@ -78,21 +77,18 @@ class Comparison:
         """Return the curves of all runs over one another."""
         return self.presenter.overlay({each.name: each.log for each in self.runs})
 
-    def table(self) -> Table:
+    def table(self) -> TerminalTable:
         """Return the differences and the figures, for a terminal."""
-        shown = Table(title=" and ".join(self.names), caption_justify="left")
-        shown.add_column("quantity")
-        for name in self.names:
-            shown.add_column(name, justify="right", overflow="fold")
-        for row in self.changes():
-            shown.add_row(row["path"], *(row[name] for name in self.names), style="bold")
-        shown.add_section()
-        for path, values in self.figures().items():
-            shown.add_row(self.presenter.labels[path], *map(format_figure, values))
-        shown.caption = "Above the line: what differs between the scenarios."
-        if not self.changes():
-            shown.caption = "The scenarios do not differ."
-        return shown
+        changes = [list(map(Strong, [row["path"], *self._values(row)])) for row in self.changes()]
+        labels = self.presenter.labels
+        rows = [[labels[path], *map(cell_text, each)] for path, each in self.figures().items()]
+        caption = "Above: what differs between the scenarios." if changes else ""
+        return Table(["quantity", *self.names], [*changes, *rows]).terminal(
+            " and ".join(self.names), caption or "The scenarios do not differ.", widest=None
+        )
+
+    def _values(self, row: Mapping[str, str]) -> list[str]:
+        return [row[name] for name in self.names]
 
     def as_json(self) -> dict[str, Any]:
         """Return the comparison for a JSON file."""
@@ -114,18 +110,17 @@ class Comparison:
     def _repr_html_(self) -> str:
         heads = self.names
         changes = [
-            [row["meaning"], Code(row["path"]), *(row[name] for name in heads)]
-            for row in self.changes()
+            [row["meaning"], Code(row["path"]), *self._values(row)] for row in self.changes()
         ]
         parts = ["<h2>What differs between the scenarios</h2>"]
-        shown = ResultTable(["", "field", *heads], changes).html()
+        shown = Table(["", "field", *heads], changes).html()
         parts.append(shown if changes else "<p>Nothing.</p>")
         parts += ["<h2>Curves</h2>", picture(self.presenter.overlay_caption, png(self.plot()))]
         figures = self.figures()
         parts.append("<h2>Figures</h2>")
         for heading, group in sections(self.presenter.labels).items():
             rows = [[label, *figures[path]] for path, label in group.items()]
-            shown = ResultTable(["", *heads], rows, missing="–").html()
+            shown = Table(["", *heads], rows, missing="–").html()
             parts.append(f"<h3>{html.escape(heading)}</h3>\n{shown}")
         return "\n".join(parts)
 

@@ -5,13 +5,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from sonoservo.diagrams.app.live.serve import opened
 from sonoservo.diagrams.app.live.track_live import live_volumes
-from sonoservo.diagrams.app.options import LiveLimits, ReadingFrames
-from sonoservo.diagrams.app.volumes.check import brief_finding, brief_stream_finding
-from sonoservo.diagrams.app.volumes.opening import Opened, live_source, open_volumes
+from sonoservo.diagrams.app.options import LiveLimits
+from sonoservo.diagrams.app.volumes.opening import Opened
 from sonoservo.systems.live.connection.link import Link
-from sonoservo.systems.live.connection.protocols import parse_address
 from sonoservo.systems.live.feeds import IMAGE, volume_items
 from sonoservo.systems.live.live_source import LiveSource
 from sonoservo.systems.recording.recording_writer import RecordingWriter
@@ -29,7 +26,6 @@ def record_live(
     path: Path,
     *,
     limits: LiveLimits | None = None,
-    after_volume: Callable[[int], None] | None = None,
     say: Callable[[str], None] = print,
 ) -> dict[str, Any]:
     """Record a live connection to a file until a limit or an interruption.
@@ -49,8 +45,6 @@ def record_live(
                     writer = RecordingWriter(path, said.settings if said else {})
             writer.append(volume)
             count += 1
-            if after_volume is not None:
-                after_volume(count - 1)
     except KeyboardInterrupt:
         interrupted = True
     finally:
@@ -72,7 +66,6 @@ def play_live(
     *,
     speed: float = 1.0,
     name: str = IMAGE,
-    after_volume: Callable[[int], None] | None = None,
 ) -> dict[str, Any]:
     """Send recorded volumes as a scanner would, to the end or until an interruption.
 
@@ -91,8 +84,6 @@ def play_live(
             if speed == 0:
                 link.flush(_PATIENCE)
             count += 1
-            if after_volume is not None:
-                after_volume(number)
     except KeyboardInterrupt:
         interrupted = True
     return {
@@ -102,42 +93,3 @@ def play_live(
         "peers": link.peers,
         "interrupted": interrupted,
     }
-
-
-def play_file(
-    path: Path,
-    address: str,
-    reading: ReadingFrames,
-    *,
-    speed: float,
-    wait_for: int,
-    say: Callable[[str], None],
-) -> dict[str, Any]:
-    """Play a file to an address, once so many peers are connected; see `play_live`."""
-    recording = open_volumes(path, reading)
-    for line in filter(None, [*recording.notes, brief_finding(recording)]):
-        say(line)
-    with opened(address, say, wait_for=wait_for) as link:
-        summary = play_live(recording, link, speed=speed)
-    say(f"{summary['volumes']} volumes sent")
-    return summary
-
-
-def record_address(
-    address: str,
-    path: Path,
-    reading: ReadingFrames,
-    *,
-    limits: LiveLimits,
-    say: Callable[[str], None],
-) -> dict[str, Any]:
-    """Record what comes from an address to a file; see `record_live`."""
-    reading.refuse_for_streams()
-    with live_source(parse_address(address), reading, say, keep=QUEUE) as live:
-        summary = record_live(live, path, limits=limits, say=say)
-        if line := brief_stream_finding(live):
-            say(line)
-    reasons = summary["left_out_reasons"].items()
-    left_out = "".join(f", {count} left out ({why})" for why, count in reasons)
-    say(f"{summary['volumes']} volumes recorded, {summary['dropped']} dropped{left_out}: {path}")
-    return summary

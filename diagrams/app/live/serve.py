@@ -14,8 +14,8 @@ from sonoservo.diagrams.experiments.following_scene import observer_events, reco
 from sonoservo.diagrams.scenario import Scenario, require_scenario
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.typed_yaml import suggest
+from sonoservo.systems.live.connection.address import parse_address
 from sonoservo.systems.live.connection.link import Link
-from sonoservo.systems.live.connection.protocols import parse_address
 from sonoservo.systems.live.feeds import (
     NeedleNames,
     needle_feed,
@@ -61,7 +61,7 @@ def opened(address: str, say: Callable[[str], None], *, wait_for: int = 0) -> It
     with Link(parse_address(address), report=say) as link:
         if link.address.listens:
             host, _ = link.address.bound
-            say(f"Sending to all peers that connect to {link.address.scheme}://{host}:{link.port}")
+            say(f"Sending to all peers that connect to igtl://{host}:{link.port}")
         while link.peers < wait_for:
             time.sleep(_POLL)
         yield link

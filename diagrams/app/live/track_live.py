@@ -12,18 +12,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sonoservo.diagrams.app.interruption import is_interrupted
-from sonoservo.diagrams.app.live.serve import needle_names, opened
-from sonoservo.diagrams.app.options import LiveLimits, ReadingFrames, Sending, Tracker
+from sonoservo.diagrams.app.options import LiveLimits
 from sonoservo.diagrams.app.volumes.calibrate import pose_error_figures
-from sonoservo.diagrams.app.volumes.check import brief_stream_finding
 from sonoservo.diagrams.app.volumes.estimates_table import EstimatesTable, ModeCount, estimate_row
-from sonoservo.diagrams.app.volumes.opening import live_source
 from sonoservo.diagrams.needle_tracker import MakeNeedleTracker
 from sonoservo.diagrams.tracker_bench import Sample, Sink, Tracked, TrackerBench
 from sonoservo.diagrams.trackers.tracker_parts import TrackerParameters
 from sonoservo.systems.files.writing import write_json
 from sonoservo.systems.live.connection.link import Link
-from sonoservo.systems.live.connection.protocols import parse_address
 from sonoservo.systems.live.feeds import NeedleNames, needle_items
 from sonoservo.systems.live.live_source import LiveSource
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
@@ -170,48 +166,6 @@ class _Delays:
                 "besides_tracking": _spread(np.subtract(self._total, self._track)),
             },
         }
-
-
-def track_address(
-    address: str,
-    *,
-    tracker: Tracker,
-    parameters: TrackerParameters,
-    reading: ReadingFrames,
-    sending: Sending,
-    limits: LiveLimits,
-    console: "Console | None" = None,
-    out: Path | None = None,
-    after_volume: Callable[[int, NeedleEstimate], None] | None = None,
-    say: Callable[[str], None] = print,
-) -> tuple[dict[str, Any], Path, str]:
-    """Track live volumes from an address until Ctrl-C or a limit; see `track_live`.
-
-    Returns the summary, the folder of the results, and the gravest finding about the stream.
-    """
-    place = parse_address(address)
-    folder = out or Path("out") / f"{place.file_name}_track"
-    names = needle_names(sending.names or [], points=sending.points)
-    with ExitStack() as stack:
-        source = stack.enter_context(live_source(place, reading, say))
-        outlets = []
-        for each in sending.serve or []:
-            own = str(parse_address(each)) == str(place)
-            outlets.append(source.link if own else stack.enter_context(opened(each, say)))
-        summary = track_live(
-            source,
-            parameters=parameters,
-            seed=tracker.seed,
-            outlets=outlets,
-            names=names,
-            console=console,
-            out=folder,
-            limits=limits,
-            correct_poses=tracker.correct_poses,
-            after_volume=after_volume,
-            say=say,
-        )
-    return summary, folder, brief_stream_finding(source)
 
 
 def _spread(seconds: Any) -> dict[str, float | None]:

@@ -5,6 +5,7 @@ from dataclasses import replace
 from rich.console import Console as Terminal
 
 from sonoservo.diagrams.app.kept_runs.kept_run import refusing
+from sonoservo.diagrams.app.options import Page
 from sonoservo.diagrams.app.pages.pages import announce, open_site
 from sonoservo.diagrams.experiments.shape_prediction import ShapePredictionExperiment
 from sonoservo.diagrams.experiments.shape_prediction_scenario import ShapePredictionScenario
@@ -14,13 +15,7 @@ from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.signals.image_slice import ImageSlice
 
 
-def ask_click(
-    scenario: Scenario,
-    terminal: Terminal,
-    *,
-    host: str = "localhost",
-    by_itself: bool = True,
-) -> ShapePredictionScenario:
+def ask_click(scenario: Scenario, terminal: Terminal, page: Page) -> ShapePredictionScenario:
     """Let a person click on the needle in the first slice, and return the scenario with its place.
 
     The tracker then starts there (``tracker.start``); saved, the scenario repeats the run without
@@ -29,10 +24,10 @@ def ask_click(
     predicted = require_scenario(scenario, ShapePredictionScenario)
     with terminal.status("Acquiring the first slice ..."):
         image = first_slice(predicted)
-    with open_site(host) as site:
-        page = ClickPage(site, image)
-        announce(terminal, "Click on the needle at", page.web_url, by_itself=by_itself)
-        x, y = page.wait()
+    with open_site(page) as site:
+        clicked = ClickPage(site, image)
+        announce(terminal, "Click on the needle at", clicked.web_url, page)
+        x, y = clicked.wait()
     terminal.print(f"The needle's first cross-section: x {1e3 * x:.2f} mm, depth {1e3 * y:.2f} mm.")
     start = [round(float(x), 6), round(float(y), 6)]
     return replace(predicted, tracker=replace(predicted.tracker, start=start))

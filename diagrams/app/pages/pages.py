@@ -11,6 +11,7 @@ from pydrake.geometry import Meshcat
 from rich.console import Console as Terminal
 from rich.text import Text
 
+from sonoservo.diagrams.app.options import Page
 from sonoservo.systems.display.console.console import Console
 from sonoservo.systems.display.pages.meshcat_page import open_meshcat
 from sonoservo.systems.display.pages.site import Files, Site
@@ -47,19 +48,18 @@ class Pages:
 def open_pages(
     terminal: Terminal,
     title: str,
+    page: Page | None = None,
     *,
-    host: str = "localhost",
     world: bool = True,
-    by_itself: bool = True,
     kept: Path | None = None,
 ) -> Pages:
     """Open the pages of a command on the first free port from 7000 on, and print the address.
 
     Without a ``world``, the console draws a view of the probe; a folder ``kept`` has the
-    replay.html that takes the world's place. The console opens in the browser ``by_itself`` if a
-    person with a desktop sits at the terminal. ConfigurationError if it cannot listen there.
+    replay.html that takes the world's place. ConfigurationError if it cannot listen there.
     """
-    site = open_site(host)
+    page = page or Page()
+    site = open_site(page)
     meshcat = open_meshcat(site) if world and kept is None else None
     shown: str | None = "world" if world else ""
     if kept is not None:
@@ -67,22 +67,22 @@ def open_pages(
     console = Console(site, title=title, world=shown)
     if kept is not None:
         _serve_results(site, console, kept / "report.html")
-    announce(terminal, "Watch at", console.web_url, by_itself=by_itself)
+    announce(terminal, "Watch at", console.web_url, page)
     return Pages(site=site, console=console, meshcat=meshcat)
 
 
-def open_site(host: str) -> Site:
+def open_site(page: Page) -> Site:
     """Open a site on the first free port from 7000 on."""
     try:
-        return Site(host=host)
+        return Site(host=page.host)
     except OSError as error:
         raise ConfigurationError(str(error)) from error
 
 
-def announce(terminal: Terminal, words: str, address: str, *, by_itself: bool) -> None:
-    """Print the address of a page, and perhaps open it in the browser; see `open_pages`."""
+def announce(terminal: Terminal, words: str, address: str, page: Page) -> None:
+    """Print the address of a page, and open it for a person at a terminal of this desktop."""
     terminal.print(words, Text(address, style="bold"), soft_wrap=True)
-    if by_itself and terminal.is_interactive and has_desktop():
+    if page.open_page and terminal.is_interactive and has_desktop():
         webbrowser.open(address)
 
 

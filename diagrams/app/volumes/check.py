@@ -14,7 +14,7 @@ from pydrake.math import RotationMatrix
 from sonoservo.diagrams.app.options import Reading
 from sonoservo.diagrams.app.volumes.opening import Opened, open_volumes, with_frames
 from sonoservo.diagrams.app.volumes.reconstruct import ReconstructedRecording
-from sonoservo.systems.calibration.pose_calibration import PoseCalibration
+from sonoservo.systems.calibration.pose_errors import PoseCalibration
 from sonoservo.systems.evaluation.reports.scan_sheet import orientation_sheet
 from sonoservo.systems.evaluation.source_checks import (
     Check,
@@ -34,9 +34,9 @@ from sonoservo.systems.evaluation.source_checks import (
 )
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.volume_file import HoldsFramesError, VolumeFile
+from sonoservo.systems.live.connection.address import Address
 from sonoservo.systems.live.connection.items import ImageItem, Item, PoseItem
 from sonoservo.systems.live.connection.link import Link, shown
-from sonoservo.systems.live.connection.protocols import Address
 from sonoservo.systems.live.image_matcher import ImageMatcher, PosedImage
 from sonoservo.systems.live.live_source import LiveSource
 from sonoservo.systems.live.volume_maker import VolumeMaker

@@ -8,6 +8,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+import yaml
 from llvmlite import binding
 from numba.core import config
 from numpy.typing import NDArray
@@ -51,7 +52,9 @@ def make_sequence(case: Case) -> WithFiles:
     dials = DrawnDials()
     if settings["randomize"]:
         dials = draw_dials(np.random.default_rng([case.seed, 8]))
-    scenario = _load(settings["scenario"], dials, case.seed)
+    data = yaml.safe_load(settings["scenario"])
+    loaded = load_scenario(data, changes=list(dials.changes), seed=case.seed)
+    scenario = require_scenario(loaded, FollowingScenario)
     rng = np.random.default_rng([case.seed, 3])
     scanner = draw_scanner(scenario, list(settings["transducers"]), rng)
     X_TP, hand = draw_insertion(scenario, scanner.geometry, settings["volumes"], rng, dials)
@@ -74,14 +77,6 @@ def make_sequence(case: Case) -> WithFiles:
     files = write_layout(settings["layout"], name, volumes(), lambda: {**about, "volumes": labels})
     entry = {"name": name, "seed": case.seed, "volumes": len(labels), "processor": processor_type()}
     return WithFiles(entry, files)
-
-
-def _load(text: str, dials: DrawnDials, seed: int) -> FollowingScenario:
-    with TemporaryDirectory() as folder:
-        file = Path(folder) / "scenario.yaml"
-        file.write_text(text, encoding="utf-8")
-        loaded = load_scenario(file, changes=list(dials.changes), seed=seed)
-    return require_scenario(loaded, FollowingScenario)
 
 
 class _Scene:

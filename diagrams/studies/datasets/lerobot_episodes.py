@@ -4,10 +4,10 @@ import io
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+import yaml
 from numpy.typing import NDArray
 from PIL import Image
 from rich.console import Console
@@ -52,30 +52,11 @@ def make_episodes(
     cluster: Executor | None = None,
     console: Console | None = None,
 ) -> dict[str, Any]:
-    """Run a scenario with several seeds, and write its episodes as a data set of LeRobot.
+    """Run a scenario with several seeds from its own on, and write its episodes for LeRobot.
 
     A frame is a volume: its two middle planes, joints, features as the servo saw them, wrench of
-    the wrist, and what servo and force law were told.
-
-    Parameters
-    ----------
-    scenario
-        Scenario of following, with the first seed.
-    out
-        Folder of the data set, with ``meta``, ``data`` and, for a second call, ``cases``.
-    count
-        Number of episodes.
-    jobs, cluster, console
-        See `run_cases`.
-
-    Returns
-    -------
-    Contents of ``meta/info.json``.
-
-    Raises
-    ------
-    ConfigurationError
-        If pyarrow is missing, the scenario is of another experiment, or no run went well.
+    the wrist, and what servo and force law were told. Returns the contents of ``meta/info.json``;
+    finished runs stay in ``cases`` for a second call.
     """
     require_extra("pyarrow", "lerobot", out)
     scenario = require_scenario(scenario, FollowingScenario)
@@ -92,10 +73,8 @@ def make_episodes(
 
 def run_episode(case: Case) -> WithFiles:
     """Run an episode, and return its frames as a file of NumPy."""
-    with TemporaryDirectory() as folder:
-        path = Path(folder) / "scenario.yaml"
-        path.write_text(case.settings["scenario"], encoding="utf-8")
-        scenario = require_scenario(load_scenario(path, seed=case.seed), FollowingScenario)
+    loaded = load_scenario(yaml.safe_load(case.settings["scenario"]), seed=case.seed)
+    scenario = require_scenario(loaded, FollowingScenario)
     experiment = FollowingExperiment(scenario)
     planes: dict[float, tuple[bytes, bytes]] = {}
 

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from sonoservo.diagrams.studies.robustness.graded_dials import CLINIC, GRADED, PLAIN, turned
 from sonoservo.diagrams.studies.robustness.report import report
 from sonoservo.diagrams.studies.robustness.runs import OURS, TRACKERS, run_case
+from sonoservo.diagrams.studies.robustness.turned_dials import CLINIC, GRADED, PLAIN, turned
 from sonoservo.diagrams.studies.runs import run_study
 from sonoservo.diagrams.studies.study import Case, StudyOptions
 from sonoservo.diagrams.studies.study_report import Study
@@ -113,10 +113,9 @@ def _dial(name: str, strength: float) -> dict[str, Any]:
         scenario = CLINIC if name == CLINIC else _SCENARIO
         judged = {"in_probe": True, "across_depth": True} if name == CLINIC else {}
         return {"scenario": scenario, "changes": [*([] if name == CLINIC else PLAIN)]} | judged
-    dial, settings = GRADED[name], turned(name, strength).settings()
-    judged = {key: True for key in ("in_probe", "across_depth") if getattr(dial, key)}
-    changes = [*PLAIN, *settings["changes"]]
-    return {"scenario": _SCENARIO, **settings, "changes": changes, **judged}
+    settings = turned(name, strength)
+    judged = dict.fromkeys(GRADED[name].judged, True)
+    return {"scenario": _SCENARIO, **settings, "changes": [*PLAIN, *settings["changes"]], **judged}
 
 
 def _more(settings: Mapping[str, Any], changes: list[str], **more: Any) -> dict[str, Any]:

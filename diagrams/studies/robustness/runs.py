@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from sonoservo.diagrams.experiments.following import FollowingExperiment
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
 from sonoservo.diagrams.experiments.following_scene import make_scene, observer_events
-from sonoservo.diagrams.studies.robustness.graded_dials import scenario_of
 from sonoservo.diagrams.studies.robustness.planned_motion import make_bench, run_open_loop
 from sonoservo.diagrams.studies.robustness.search_path import SearchPath
+from sonoservo.diagrams.studies.robustness.turned_dials import scenario_of
 from sonoservo.diagrams.studies.study import Case
 from sonoservo.diagrams.tracker_bench import log_of
 from sonoservo.systems.evaluation.metrics import MetricsParameters, detection
@@ -25,7 +25,9 @@ from sonoservo.systems.signals.needle_estimate import TrackingMode
 from sonoservo.systems.signals.volume import Volume
 
 OURS, PUBLISHED, ZHAO = "chatelain2013", "chatelain2013_as_published", "zhao2012"
-TRACKERS = (OURS, PUBLISHED, ZHAO)  # kinds of the trackers that are compared
+TRACKERS = (OURS, PUBLISHED, ZHAO)
+"""Kinds of the trackers that are compared, of which any number may follow the first two."""
+
 SEARCH_START = 5.0  # time in s at which a probe that searches begins to move; it has landed by then
 _SHOWN = 0.5e-3  # length in the image up to which there is no needle to be seen, in m
 

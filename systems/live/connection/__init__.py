@@ -1,7 +1,7 @@
-"""Sockets and protocols of live connections.
+"""Sockets and messages of live connections.
 
-A link keeps up one connection, or serves any number of peers; a protocol turns bytes into items and
-back. A new protocol is a module and a line in `protocols`. This room imports `files` and `signals`.
+A link keeps up one connection, or serves any number of peers; `open_igt_link` turns bytes into
+items and back. This room imports `files` and `signals`.
 """
 
 from lazy_loader import attach_stub

@@ -1,3 +1,5 @@
+from .address import Address as Address
+from .address import parse_address as parse_address
 from .items import CovarianceItem as CovarianceItem
 from .items import CurveItem as CurveItem
 from .items import ImageItem as ImageItem
@@ -7,5 +9,3 @@ from .items import PoseItem as PoseItem
 from .items import StatusItem as StatusItem
 from .items import TextItem as TextItem
 from .link import Link as Link
-from .protocols import Address as Address
-from .protocols import parse_address as parse_address

@@ -10,9 +10,10 @@ from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from typing import Any, Self
 
-from sonoservo.systems.live.connection.framing import FramingError
+from sonoservo.systems.live.connection.address import Address
+from sonoservo.systems.live.connection.framing import Frame, FramingError
 from sonoservo.systems.live.connection.items import Item
-from sonoservo.systems.live.connection.protocols import Address, load_protocol
+from sonoservo.systems.live.connection.open_igt_link import decode, encode, make_framer
 
 MAX_HELD = 1 << 29
 """Bytes reserved at most for the unfinished messages of all peers together."""
@@ -39,7 +40,7 @@ class _Peer(asyncio.BufferedProtocol):
 
     def __init__(self, link: "Link", name: str = "") -> None:
         self.link, self.name = link, name
-        self.framer = link.protocol.make_framer()
+        self.framer = make_framer()
         self.outbox = Outbox()
         self.useful = self.taken = time.perf_counter()
         self.proved = self.paused = False
@@ -99,7 +100,6 @@ class Link:
         report: Callable[[str], None] = print,
     ) -> None:
         self.address = address
-        self.protocol = load_protocol(address.scheme)
         self._receive, self._report = receive, report
         self._lock = threading.Lock()
         self._peers: list[_Peer] = []
@@ -167,7 +167,7 @@ class Link:
         """
         if not self._peers or not items:
             return
-        data = b"".join(map(self.protocol.encode, items))
+        data = b"".join(map(encode, items))
         with self._lock:
             for peer in self._peers:
                 before = peer.outbox.dropped.total()
@@ -229,13 +229,13 @@ class Link:
             with self._lock:
                 self._peers.remove(peer)
             peer.transport.abort()
-            peer.framer = self.protocol.make_framer()  # its memory is free at once
+            peer.framer = make_framer()  # its memory is free at once
             self._tell(peer.name, reason)
 
-    def _take(self, peer: _Peer, frame: Any, now: float) -> None:
+    def _take(self, peer: _Peer, frame: Frame, now: float) -> None:
         """Take in a message. Whatever it sets off is its own fault, and costs it alone."""
         try:
-            items = self.protocol.decode(frame)
+            items = decode(frame)
             if not items and (len(self.skipped) < _SKIPPED or str(frame) in self.skipped):
                 self.skipped[str(frame)] += 1
             for item in items:

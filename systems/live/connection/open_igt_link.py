@@ -33,8 +33,6 @@ from sonoservo.systems.live.connection.items import (
 )
 from sonoservo.systems.recording.grey_levels import luminance
 
-DEFAULT_PORT = 18944
-
 _FLIP = np.diag([-1.0, -1.0, 1.0])  # From LPS to RAS and back
 _MM = 1e3
 _MAX_TEXT = 0xFFFF

@@ -11,11 +11,10 @@ from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from sonoservo.systems.signals.immutable import Immutable, NotFound
-from sonoservo.systems.signals.motion_record import MotionRecord
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.ports import declare_inputs, declare_output, evaluate
 from sonoservo.systems.signals.requirements import require_not_negative
-from sonoservo.systems.signals.sweep import Sweep, SweepGeometry, SweepMotion
+from sonoservo.systems.signals.sweep import MotionRecord, Sweep, SweepGeometry, SweepMotion
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
 from sonoservo.systems.ultrasound.simulation.acquisition import acquire_sweep, begin_frames
 from sonoservo.systems.ultrasound.simulation.errors.clock import poses_at

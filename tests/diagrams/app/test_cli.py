@@ -15,7 +15,6 @@ from sonoservo.diagrams.app.options import free_folder
 from sonoservo.diagrams.experiments.registry import list_scenarios, load_scenario
 from sonoservo.systems.evaluation.log import read_log
 from sonoservo.systems.evaluation.run_log import RunLog
-from sonoservo.systems.files.refusals import ConfigurationError
 
 runner = CliRunner()
 
@@ -88,22 +87,16 @@ def test_a_scenario_of_one_s_own_begins_as_a_copy(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["fig5"], "did you mean 'chatelain2013_fig5'"),
         (["chatelain2031_fig5"], "did you mean 'chatelain2013_fig5'"),
         (["chatelain2013_fig5", "--set", "imaging.frames=31"], "lines x 2 x"),
         (["chatelain2013_fig5", "--set", "station.probe.x=3"], "cannot reach"),
-        (["chatelain2013_fig5", "--set", "hand.entry=[-0.12, 0.9, -0.04]"], "hand.entry: "),
         (["chatelain2013_fig5", "--set", "phantom=agr"], "there is no model"),
-        (["chatelain2013_fig5", "--set", "station.arm=viper"], "viper_s850.yaml"),
         (["chatelain2013_fig5", "--set", "station.arm=nowhere.yaml"], "no file nowhere.yaml"),
-        (["chatelain2013_fig5", "--set", "imaging.volume_rate=50"], "imaging.volume_rate: 50.0"),
-        (["chatelain2013_fig5", "--set", "processing_time=-1"], "processing_time: -1.0"),
         (["carriere2016_d60", "--set", "rotations=[0.2]"], "rotations: [0.2]"),
         (["carriere2016_d60", "--set", "estimator=particle"], "did you mean 'particle_filter'"),
-        (["carriere2016_d60", "--set", "depth=0.3"], "stays in the phantom"),
-        (["carriere2016_d60", "--set", "experiment=needle"], "experiment: 'needle'"),
         (["carriere2016_d60", "--record", "a.seq.nrrd"], "record: not possible"),
         (["chatelain2013_fig5", "--movie", "a.avi"], "a.avi must end in .gif or .mp4"),
+        (["chatelain2013_fig5", "--record", "a.mha"], "must end in .seq.nrrd"),
     ],
 )
 def test_a_mistake_is_one_line_and_exit_code_2(arguments, message, tmp_path):
@@ -112,15 +105,6 @@ def test_a_mistake_is_one_line_and_exit_code_2(arguments, message, tmp_path):
     assert message in result.stderr
     assert len(result.stderr.strip().splitlines()) == 1
     assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.parametrize(
-    "command", [["scan"], ["drive"], ["dataset", "--count", "1", "--out", "never"]]
-)
-def test_what_needs_a_robot_refuses_other_scenarios(command):
-    result = runner.invoke(app, [command[0], "carriere2016_d60", *command[1:]])
-    assert isinstance(result.exception, ConfigurationError)
-    assert "one of 'following' is needed here" in str(result.exception)
 
 
 def test_a_run_that_cannot_go_on_says_why_and_ends_with_status_3(tmp_path):
@@ -141,20 +125,12 @@ def test_a_run_that_cannot_go_on_says_why_and_ends_with_status_3(tmp_path):
 
 def test_a_short_run_leaves_its_files_and_its_summary(tmp_path):
     out = tmp_path / "out"
+    changes = ["duration=2.5", "controller.force.force=4", "station.probe.height=0.004", *COARSE]
     result = sonoservo(
-        "run",
-        "chatelain2013_fig5",
-        "--set",
-        "duration=2.5",
-        "--no-meshcat",
-        "--replay",
-        "--movie",
-        str(tmp_path / "a.gif"),
-        "--out",
-        str(out),
-        "--json",
-        str(tmp_path / "summary.json"),
-    )
+        "run", "chatelain2013_fig5", "--no-meshcat", "--replay", "--movie", str(tmp_path / "a.gif"),
+        "--out", str(out), "--json", str(tmp_path / "summary.json"),
+        *(each for change in changes for each in ("--set", change)),
+    )  # fmt: skip
     assert result.returncode == 0, result.stderr
     with Image.open(tmp_path / "a.gif") as movie:
         assert movie.n_frames == 8
@@ -178,19 +154,9 @@ def test_a_short_run_leaves_its_files_and_its_summary(tmp_path):
     assert summary == json.loads((tmp_path / "summary.json").read_text())
     assert summary["simulated_s"] == pytest.approx(2.5)
     assert summary["interrupted"] is False
-    assert summary["force"]["max_n"] > 1.5
-
-
-def test_a_mistake_in_ones_own_arm_is_one_line_and_exit_code_2(tmp_path):
-    arm = tmp_path / "mine.yaml"
-    arm.write_text("directives: [{add_model: {name: arm, file: mine.urdf}}]")
-    result = sonoservo_here(
-        "run", "chatelain2013_fig5", "--no-meshcat", "--set", f"station.arm={arm}",
-        "--out", str(tmp_path / "out"),
-    )  # fmt: skip
-    assert result.returncode == 2
-    assert f"{arm}: directives.0.add_model.file: there is no file" in result.stderr
-    assert len(result.stderr.strip().splitlines()) == 1
+    # The error is that from the force that was asked for.
+    assert summary["force"]["mean_n"] == pytest.approx(4, abs=0.2)
+    assert summary["force"]["rms_error_n"] < 0.2
 
 
 def test_results_that_cannot_be_written_are_one_line_and_exit_code_2(tmp_path):
@@ -200,18 +166,6 @@ def test_results_that_cannot_be_written_are_one_line_and_exit_code_2(tmp_path):
     )
     assert result.returncode == 2
     assert len(result.stderr.strip().splitlines()) == 1
-
-
-def test_the_force_that_was_asked_for_is_what_the_error_is_taken_from(tmp_path):
-    changes = ["duration=4", "controller.force.force=4", "station.probe.height=0.004", *COARSE]
-    result = sonoservo_here(
-        "run", "chatelain2013_fig5", "--no-meshcat", "--out", str(tmp_path),
-        *(each for change in changes for each in ("--set", change)),
-    )  # fmt: skip
-    assert result.returncode == 0, result.stderr
-    force = json.loads((tmp_path / "summary.json").read_text())["force"]
-    assert force["mean_n"] == pytest.approx(4, abs=0.1)
-    assert force["rms_error_n"] < 0.1
 
 
 @pytest.mark.parametrize(
@@ -274,14 +228,6 @@ def test_a_bad_recording_is_one_line_and_leaves_nothing(tmp_path, command, name,
     assert str(path) in result.stderr
     assert len(result.stderr.strip().splitlines()) == 1
     assert [each.name for each in tmp_path.iterdir()] == [name]
-
-
-def test_a_recording_cannot_have_another_suffix(tmp_path):
-    path = tmp_path / "a.mha"
-    result = sonoservo_here("run", "chatelain2013_fig5", "--no-meshcat", "--record", str(path))
-    assert result.returncode == 2
-    assert "must end in .seq.nrrd" in result.stderr
-    assert not list(tmp_path.iterdir())
 
 
 def test_help_and_list_load_nothing_that_takes_long():

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from sonoservo.diagrams import load_scenario, run
 from sonoservo.diagrams.app.cli import app
-from sonoservo.diagrams.app.drive import DrivenExperiment, drive
+from sonoservo.diagrams.app.drive import drive
 from sonoservo.diagrams.app.run_result import RunResult
 from sonoservo.systems.display.console.console import Console
 from sonoservo.systems.evaluation.log import read_log
@@ -123,20 +123,6 @@ def test_pause_stops_time_and_none_is_made_up_for(console):
     assert result.log.time[-1] == pytest.approx(3.0, abs=0.05)
     for now, time_then, _ in operator.seen:
         assert time_then - simulated <= now - real + 0.1
-
-
-def test_restart_begins_the_same_again(console):
-    driven = DrivenExperiment(cheap(3.0), console)
-    logs = []
-    for _ in range(2):
-        driven.start()
-        for depth in (12, 25):
-            console.controls.move("depth", depth)
-            driven.advance(driven.time + 1.5)
-        logs.append(driven.log())
-    for name in ("time", "needle_points", "X_WP", "contact_force", "volume_inlier_count"):
-        np.testing.assert_array_equal(getattr(logs[0], name), getattr(logs[1], name))
-    assert logs[0].inserted_length[-1] == pytest.approx(0.025, abs=5e-4)
 
 
 def test_a_restart_keeps_what_was_done_before(console, tmp_path):

@@ -74,8 +74,10 @@ def test_an_interruption_waits_for_the_compiler_s_callbacks():
     assert (result.returncode, result.stdout) == (128 + signal.SIGTERM, "not disturbed\n")
 
 
-@pytest.mark.parametrize("how", ["end", "hang"])
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize(
+    ("number", "how"),
+    [(signal.SIGINT, "end"), (signal.SIGTERM, "hang"), (signal.SIGHUP, "end")],
+)
 def test_every_signal_ends_the_program_even_if_it_hangs(number, how):
     process = subprocess.Popen(
         [sys.executable, "-c", _BUSY, how], stdout=subprocess.PIPE, stderr=subprocess.PIPE

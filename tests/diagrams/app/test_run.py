@@ -29,13 +29,14 @@ def test_a_run_by_name_with_changes_keeps_its_files(result):
     assert result.log.depth[-1] == pytest.approx(0.02)
 
 
-def test_the_summary_is_written_before_anything_is_drawn(monkeypatch, tmp_path):
+def test_the_summary_is_written_before_anything_is_drawn(monkeypatch, tmp_path, capsys):
     def ended(*_):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(ShapePredictionPresenter, "plots", ended)
     with pytest.raises(KeyboardInterrupt):
-        run("carriere2016_d60", changes=SHORT, seed=100, out=tmp_path)
+        run("carriere2016_d60", changes=SHORT, seed=100, out=tmp_path, progress=True)
+    assert "carriere2016_d60" in capsys.readouterr().out
     assert json.loads((tmp_path / "summary.json").read_text())["seed"] == 100
 
 
@@ -101,8 +102,3 @@ def test_scenarios_are_put_in_words():
     still = " ".join(following_words(load_scenario("chatelain2013_fig4")))
     assert "so the probe only presses" in still
     assert "turned at 60 mm" in " ".join(shape_words(load_scenario("carriere2016_d60")))
-
-
-def test_progress_is_shown_on_request(capsys):
-    run("carriere2016_d60", changes=SHORT, progress=True)
-    assert "carriere2016_d60" in capsys.readouterr().out

@@ -145,14 +145,6 @@ def test_a_needle_that_is_in_view_from_the_start_is_found_anywhere(tmp_path):
     assert len(modes) - first > 4
     assert found.summary["detection"]["false_starts"] == 0
     assert found.summary["tracking"]["tip_error_mm"]["median"] < 2
-    # Without this choice, only a needle that comes is one, and the run says so.
-    missed = run(load_scenario(path, seed=100))
-    detection = missed.summary["detection"]
-    assert detection["volume"] is None
-    assert detection["reason"]
-    assert detection["advice"]
-    assert str(missed.verdict).startswith("No needle was found.")
-    assert detection["advice"] in missed.verdict.text
 
 
 def test_a_start_that_does_not_exist_is_refused():

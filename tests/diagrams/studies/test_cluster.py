@@ -14,7 +14,7 @@ from importlib.resources import files
 from pathlib import Path
 
 import pytest
-from clusters.cases import calculate, count, end_process, run_experiment, wait_once
+from clusters.cases import calculate, count, end_process, wait_once
 from clusters.processes import DaskProcesses
 from distributed import Client
 
@@ -102,14 +102,6 @@ def test_outcomes_and_files_are_those_of_this_machine(cluster, tmp_path):
     assert {path: path.stat().st_mtime_ns for path in kept} == kept
 
 
-def test_an_experiment_is_the_same_bit_for_bit(cluster, tmp_path):
-    wanted = run_cases(run_experiment, cases(1), tmp_path / "here", jobs=1)
-    found = run_cases(run_experiment, cases(1), tmp_path / "there", cluster=cluster)
-    assert all(wanted)
-    assert len(wanted[0].result["time"]) > 2
-    assert without_time(found) == without_time(wanted)
-
-
 def test_workers_write_into_a_shared_store(cluster, tmp_path):
     store = Store((tmp_path / "store").as_uri(), shared=True)
     outcomes = run_cases(calculate, cases(3), tmp_path / "out", cluster=cluster, store=store)
@@ -125,9 +117,9 @@ def test_a_case_that_ends_its_worker_is_a_failure_and_its_neighbours_are_none(cl
     mixed = [poison, *cases(4, seen)]
     outcomes = run_cases(end_process, mixed, tmp_path / "out", cluster=cluster)
     assert [each.error for each in outcomes] == ["its process died", "", "", "", ""]
-    assert len(list(seen.glob("9_*"))) == 4  # the first time and three times again
+    assert len(list(seen.glob("9_*"))) == 2  # the first time and once again
     run_cases(end_process, mixed, tmp_path / "out", cluster=cluster)
-    assert len(list(seen.glob("9_*"))) == 4
+    assert len(list(seen.glob("9_*"))) == 2
 
 
 def test_a_case_that_takes_too_long_runs_again_and_leaves_nothing(client, tmp_path):

@@ -131,14 +131,6 @@ def _shown(study, width):
     return " ".join(capture.get().split())
 
 
-def test_a_wide_terminal_shows_every_column(study):
-    text = _shown(study, 120)
-    assert "tip error (mm) 1.50 0.400 0.610 0.500 to 0.900 1.20 too few ≤ 0.7 undecided" in text
-    assert "0.750 runs" in text
-    assert text.count("fig4") == 1
-    assert "3 runs, 1 failed" in text
-
-
 def test_a_narrow_terminal_shows_what_is_true_and_cuts_nothing_off(study):
     text = _shown(study, 80)
     assert "tip error (mm) 1.50 0.610 0.500 to 1.20 ≤ 0.7 undecided 0.750" in text

@@ -22,20 +22,6 @@ def calculate(case):
     )
 
 
-def run_experiment(case):
-    """Run a short experiment, and return its log."""
-    from sonoservo.diagrams.experiments.registry import load_scenario, make_experiment
-    from sonoservo.systems.evaluation.log import columns
-
-    changes = ["duration=0.65", "imaging.sector=0.3", "station.plant.contact_model=point"]
-    experiment = make_experiment(
-        load_scenario("chatelain2013_fig5", seed=case.seed, changes=changes)
-    )
-    experiment.run()
-    log = experiment.log()
-    return {name: getattr(log, name) for name in columns(type(log))}
-
-
 def report(case):
     """Leave the numbers of the worker's process and of its nanny in a file."""
     folder = Path(case.settings["folder"])

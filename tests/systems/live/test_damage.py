@@ -10,15 +10,13 @@ import numpy as np
 import pytest
 from live_items import X, make_estimate, make_volume, wait_until
 
-from sonoservo.systems.live.connection.framing import FramingError, MessageError, pack_frame
+from sonoservo.systems.live.connection.address import parse_address
+from sonoservo.systems.live.connection.framing import pack_frame
 from sonoservo.systems.live.connection.items import ImageItem, PoseItem, TextItem
 from sonoservo.systems.live.connection.link import Link
-from sonoservo.systems.live.connection.open_igt_link import decode, encode, make_framer
-from sonoservo.systems.live.connection.protocols import parse_address
+from sonoservo.systems.live.connection.open_igt_link import encode
 from sonoservo.systems.live.feeds import NeedleNames, needle_items, volume_items
-from sonoservo.systems.live.image_matcher import ImageMatcher
 from sonoservo.systems.live.live_source import LiveSource
-from sonoservo.systems.live.volume_maker import VolumeMaker
 
 SOUND = [
     *(encode(item) for item in volume_items(make_volume(5.0))),
@@ -52,27 +50,6 @@ def damaged(rng):
     else:  # noise
         return rng.bytes(rng.integers(200))
     return bytes(data)
-
-
-def test_nothing_but_the_two_kinds_of_refusal_comes_out_of_damage():
-    rng = np.random.default_rng(100)
-    lines = []
-    for _ in range(600):
-        framer, data = make_framer(), damaged(rng) + damaged(rng)
-        matcher, maker = ImageMatcher(report=lines.append), VolumeMaker()
-        try:
-            while data:
-                count = min(len(framer.buffer), len(data))
-                framer.buffer[:count] = data[:count]
-                data = data[count:]
-                for frame in framer.advance(count, 0.0):
-                    for item in decode(frame):
-                        for posed in matcher.feed(item, 0.0):
-                            maker(posed)
-        except (FramingError, MessageError, ValueError):
-            continue
-        for posed in matcher.release(10.0):
-            maker(posed)
 
 
 STRANGE = {
@@ -145,7 +122,7 @@ def test_all_volumes_of_a_good_peer_come_through_beside_64_hostile_ones():
     good_one = make_volume().intensities
     assert sum(np.array_equal(each.intensities, good_one) for each in came) == sent
     assert [each.time for each in came] == sorted(each.time for each in came)
-    assert threading.active_count() == threads
+    assert threading.active_count() <= threads
     assert all(line.isprintable() for line in lines), lines
     assert most < 200
     assert len(lines) < 100 + count / 10

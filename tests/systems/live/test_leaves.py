@@ -175,13 +175,6 @@ def test_truth_has_names_that_say_so(outlet):
     ]
 
 
-def test_events_must_be_possible(outlet):
-    with pytest.raises(ValueError, match="period"):
-        Sender(outlet=outlet, feed=needle_feed(), period=0.0)
-    with pytest.raises(ValueError, match="offset"):
-        Sender(outlet=outlet, feed=needle_feed(), period=1.0, offset=-1.0)
-
-
 class Volumes:
     """A source with volumes that come when they are put in."""
 
@@ -216,8 +209,3 @@ def test_receiver_takes_a_message_in_at_the_next_step():
     source.waiting.append(make_volume(6.0))
     receiver.ExecuteForcedEvents(simulator.get_mutable_context())
     assert now().time == 6.0
-
-
-def test_receiver_needs_a_time_after_which_a_volume_is_stale():
-    with pytest.raises(ValueError, match="stale_after"):
-        VolumeReceiver(source=Volumes(), stale_after=0.0)

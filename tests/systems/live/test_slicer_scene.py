@@ -3,7 +3,7 @@
 from importlib.resources import files
 from xml.etree import ElementTree
 
-from sonoservo.systems.live.connection.open_igt_link import DEFAULT_PORT
+from sonoservo.systems.live.connection.address import DEFAULT_PORT
 from sonoservo.systems.live.feeds import IMAGE, NEEDLE, SLICES, TIP, NeedleNames
 from sonoservo.systems.live.image_matcher import DEFAULT_POSES
 

@@ -6,9 +6,6 @@ import tracemalloc
 import nrrd
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
-from pydrake.math import RollPitchYaw
 from recordings import tracked, write_meta_image, write_sequence_nrrd
 
 from sonoservo.systems.files.refusals import ConfigurationError
@@ -22,70 +19,6 @@ ARRAYS = [RNG.integers(1, 256, SHAPE).astype(np.uint8) for _ in range(4)]
 def place(volume, index):
     """Where in W, in mm, a volume has its voxel."""
     return 1e3 * volume.to_world(volume.position([index]))[0][0]
-
-
-def assert_same(recording, arrays=ARRAYS, times=(0, 0.3, 0.6, 0.9)):
-    assert len(recording) == len(arrays)
-    np.testing.assert_allclose(recording.times, times[: len(arrays)])
-    for volume, array, time in zip(recording, arrays, times, strict=False):
-        np.testing.assert_array_equal(volume.intensities, array)
-        assert volume.time == pytest.approx(time)
-        assert volume.intensities.flags.c_contiguous  # what the kernels are compiled for
-        np.testing.assert_allclose(place(volume, [1, 2, 3]), [-20 + 0.3, 5 + 1.2, -30 + 3.3])
-
-
-@pytest.mark.parametrize("list_first", [False, True])
-@pytest.mark.parametrize("encoding", ["raw", "gzip"])
-def test_sequences_of_slicer_old_and_new(tmp_path, list_first, encoding):
-    path = write_sequence_nrrd(
-        tmp_path / "a.seq.nrrd", ARRAYS, list_first=list_first, encoding=encoding
-    )
-    recording = Recording(path)
-    assert_same(recording)
-    assert not recording.posed
-    np.testing.assert_array_equal(recording[0].intensities, ARRAYS[0])  # and backwards
-
-
-@pytest.mark.parametrize("name", ["a.mha", "a.mhd"])
-@pytest.mark.parametrize("compressed", [False, True])
-def test_meta_images(tmp_path, name, compressed):
-    path = write_meta_image(tmp_path / name, ARRAYS, compressed=compressed)
-    assert_same(Recording(path, volume_rate=1 / 0.3))
-    assert_same(Recording(write_meta_image(path, ARRAYS[:1], compressed=compressed)), ARRAYS[:1])
-
-
-@given(
-    order=st.permutations([0, 1, 2]),
-    signs=st.tuples(*[st.sampled_from([-1, 1])] * 3),
-    angles=st.tuples(*[st.floats(-0.4, 0.4)] * 3),
-    depth=st.sampled_from("LRPASI"),
-)
-@settings(
-    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
-def test_every_voxel_keeps_its_place_however_the_axes_lie(tmp_path, order, signs, angles, depth):
-    R = RollPitchYaw(*angles).ToRotationMatrix().matrix()
-    steps = (R @ np.diag(signs))[:, order] * [0.3, 0.6, 1.1]
-    header = {
-        "space": "left-posterior-superior",
-        "space directions": steps.T,
-        "space origin": [1.0, 2, 3],
-        "encoding": "raw",
-    }
-    nrrd.write(str(tmp_path / "a.nrrd"), ARRAYS[0], header)
-    (volume,) = Recording(tmp_path / "a.nrrd", depth=depth)
-    shape = volume.intensities.shape
-    found = volume.to_world(volume.position(np.argwhere(np.ones(shape))))[0]
-    wanted = np.argwhere(np.ones(SHAPE)) @ steps.T + [1, 2, 3]
-    values = np.column_stack([1e3 * found, volume.intensities.ravel()])
-    truth = np.column_stack([wanted, ARRAYS[0].ravel()])
-    for each in (values, truth):
-        each[:] = each[np.lexsort(np.round(each, 6).T)]
-    np.testing.assert_allclose(values, truth, atol=1e-9)
-    # The sound goes along Y of the probe, and so where it was said to go.
-    axes = dict(zip("LPSRAI", [*np.eye(3), *-np.eye(3)], strict=True))
-    down = volume.X_WP.rotation().matrix()[:, 1]
-    assert down @ axes[depth] > 0.5
 
 
 @pytest.mark.parametrize(
@@ -152,15 +85,6 @@ def test_tracked_volumes_of_plus_have_poses_and_invalid_ones_are_skipped(tmp_pat
     still = Recording(path, poses="none")
     assert len(still) == 4
     np.testing.assert_allclose(place(still[2], [1, 2, 3]), place_mm)
-
-
-def test_transforms_of_the_image_are_in_voxels(tmp_path):
-    fields = {
-        "Seq_Frame0000_ImageToReferenceTransform": "0.3 0 0 -20 0 0.6 0 5 0 0 1.1 -30 0 0 0 1",
-        "Seq_Frame0000_ImageToReferenceTransformStatus": "OK",
-    }
-    (volume,) = Recording(write_meta_image(tmp_path / "a.mha", ARRAYS[:1], fields))
-    np.testing.assert_allclose(place(volume, [1, 2, 3]), [-19.7, 6.2, -26.7])
 
 
 def change(path, old, new):
@@ -248,50 +172,6 @@ def test_a_fault_is_one_line_that_names_the_file(tmp_path, name):
     assert str(path) in text
     assert message in text
     assert "\n" not in text
-
-
-@pytest.fixture(scope="module")
-def good_files(tmp_path_factory):
-    folder, fields = tmp_path_factory.mktemp("good"), tracked(4)
-    write_sequence_nrrd(folder / "raw.seq.nrrd", ARRAYS, encoding="raw", **fields)
-    write_sequence_nrrd(folder / "first.seq.nrrd", ARRAYS, list_first=True)
-    write_meta_image(folder / "a.mha", ARRAYS, fields)
-    write_meta_image(folder / "c.mha", ARRAYS, fields, compressed=True)
-    return sorted(folder.iterdir())
-
-
-NUMBERS = [b"-1", b"0", b"nan", b"inf", b"1e400", b"9" * 20, b"4294967296"]
-WORDS = [b"none", b"(", b")", b"\n", b"\n\n", b":=", b"=", b" ", b"LOCAL", b"LIST", b"gzip", b"raw"]
-NASTY = st.sampled_from([b"", b"\0", *NUMBERS, *WORDS]) | st.binary(max_size=6)
-
-
-@given(data=st.data())
-@settings(
-    max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
-def test_mutated_headers_give_volumes_or_one_line(tmp_path, capfd, good_files, data):
-    """Never a traceback, never a hang, never room made for what a header only says."""
-    good = data.draw(st.sampled_from(good_files))
-    content = bytearray(good.read_bytes())
-    end = min(len(content), 900)
-    for _ in range(data.draw(st.integers(1, 3))):
-        at, length = data.draw(st.integers(0, end)), data.draw(st.integers(0, 12))
-        content[at : at + length] = data.draw(NASTY)
-    path = tmp_path / good.name
-    path.write_bytes(bytes(content))
-    fault = f"{path}: one line"
-    tracemalloc.start()
-    try:
-        for volume in Recording(path):
-            assert np.isfinite(volume.intensities).all()
-    except ConfigurationError as error:
-        fault = str(error)
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    assert str(path) in fault
-    assert "\n" not in fault
-    assert capfd.readouterr().err == ""
-    assert peak < 50e6
 
 
 def test_a_thousand_volumes_take_the_memory_of_a_few(tmp_path):

@@ -16,6 +16,7 @@ from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.systems.analysis import Simulator
 from synthetic_volumes import Scene
 
+from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.recording.recording import Recording
 from sonoservo.systems.recording.recording_writer import RecordingWriter
 from sonoservo.systems.recording.side_files import TRUTH, read_truth, side_path
@@ -92,16 +93,6 @@ def test_others_read_the_same_voxels_at_the_same_millimetre(recorded, volumes):
     assert times == [volume.time for volume in volumes]
 
 
-def test_poses_and_times_are_there_for_who_has_no_acquisition(recorded, volumes):
-    recorded.with_name("a.acquisition.jsonl").unlink()
-    recording = Recording(recorded)
-    for volume, original in zip(recording, volumes, strict=True):
-        assert volume.time == original.time
-        assert volume.X_WP.IsNearlyEqualTo(original.X_WP, 1e-12)
-        np.testing.assert_allclose(volume.origin, original.origin, atol=1e-12)
-        assert volume.motion is None
-
-
 def test_of_an_interrupted_recording_everything_written_is_there(tmp_path, volumes):
     script = """
 import sys, time
@@ -148,29 +139,52 @@ def test_what_cannot_be_recorded_is_refused(tmp_path, volumes):
         writer.append(replace(volumes[1], decibels_per_level=0.1))
 
 
-def test_volumes_of_an_unknown_motion(tmp_path):
-    path = tmp_path / "a.seq.nrrd"
+def test_resolution_and_unknown_motion_are_read_back_exactly(tmp_path, volumes):
+    spread = PointSpread([0.0, 0.01 / 3, 0.09], [1e-3 / 3, 2e-3, 3e-3], [4e-3] * 3, [0.4e-3] * 3)
     array = np.random.default_rng(0).random((4, 5, 6)).astype(np.float32) * 255
-    volume = Volume(
-        array, [0.1, 0.2, 0.3], [1e-3, 2e-3, 3e-3], pose(1), 1 / 3, decibels_per_level=0.1
-    )
+    volume = Volume(array, [0.1, 0.2, 0.3], [1e-3, 2e-3, 3e-3], pose(1), 1 / 3, None, 0.1, spread)
+    path = tmp_path / "a.seq.nrrd"
     with RecordingWriter(path) as writer:
         writer.append(volume)
+        with pytest.raises(ValueError, match="differs"):
+            writer.append(replace(volume, point_spread=None))
     (read,) = Recording(path)
     assert_equal(read, volume)
     assert read.motion is None
-
-
-def test_the_resolution_is_read_back_exactly(tmp_path, volumes):
-    spread = PointSpread([0.0, 0.01 / 3, 0.09], [1e-3 / 3, 2e-3, 3e-3], [4e-3] * 3, [0.4e-3] * 3)
-    path = tmp_path / "a.seq.nrrd"
-    with RecordingWriter(path) as writer:
-        writer.append(replace(volumes[0], point_spread=spread))
-        with pytest.raises(ValueError, match="differs"):
-            writer.append(volumes[1])
-    (read,) = Recording(path)
     for name in ("depth", "lateral", "elevation", "axial"):
         np.testing.assert_array_equal(getattr(read.point_spread, name), getattr(spread, name))
+
+
+@pytest.mark.parametrize(
+    ("older", "decibels"), [({"dynamic_range_db": 50.0}, 50), ({}, 60), (None, 60)]
+)
+def test_older_recordings_told_their_range_or_nothing(recorded, volumes, older, decibels):
+    side = recorded.with_name("a.acquisition.jsonl")
+    first, *lines = side.read_text().splitlines()
+    kept = {key: value for key, value in json.loads(first).items()
+            if key not in ("decibels_per_level", "point_spread")}  # fmt: skip
+    side.write_text("\n".join([json.dumps(kept | (older or {})), *lines, ""]))
+    if older is None:
+        side.unlink()
+    for volume, original in zip(Recording(recorded), volumes, strict=True):
+        np.testing.assert_array_equal(volume.intensities, original.intensities)
+        assert volume.time == original.time
+        assert volume.X_WP.IsNearlyEqualTo(original.X_WP, 1e-12)
+        np.testing.assert_allclose(volume.origin, original.origin, atol=1e-12)
+        assert (volume.motion is None) == (older is None)
+        assert volume.decibels_per_level == decibels / 255
+        assert volume.point_spread is None
+    assert Recording(recorded, dynamic_range_db=72.0)[0].decibels_per_level == 72 / 255
+
+
+def test_an_impossible_range_is_one_line(recorded):
+    with pytest.raises(ConfigurationError, match=r"a\.seq\.nrrd: dynamic_range_db: -1"):
+        Recording(recorded, dynamic_range_db=-1.0)
+    recorded.with_name("a.acquisition.jsonl").unlink()
+    data = recorded.read_bytes()
+    recorded.write_bytes(data.replace(b"# Written", b"decibels_per_level:=loud\n# Written"))
+    with pytest.raises(ConfigurationError, match="loud"):
+        Recording(recorded)
 
 
 def test_a_recorder_and_a_player_as_systems(tmp_path, volumes):

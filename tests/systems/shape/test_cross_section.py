@@ -16,9 +16,8 @@ from sonoservo.systems.shape.cross_section import (
     variance_image,
 )
 from sonoservo.systems.shape.cross_section_localizer import CrossSectionLocalizer
-from sonoservo.systems.signals.cross_section_track import CrossSectionTrack
-from sonoservo.systems.signals.image_click import ImageClick
-from sonoservo.systems.signals.image_slice import ImageSlice
+from sonoservo.systems.signals.cross_section import CrossSectionTrack
+from sonoservo.systems.signals.image_slice import ImageClick, ImageSlice
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle_shape import NeedleShape
 

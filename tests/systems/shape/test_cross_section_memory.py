@@ -3,8 +3,7 @@ from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 
 from sonoservo.systems.shape.cross_section_memory import CrossSectionMemory, remembered
-from sonoservo.systems.signals.cross_section import CrossSection
-from sonoservo.systems.signals.cross_section_track import CrossSectionTrack
+from sonoservo.systems.signals.cross_section import CrossSection, CrossSectionTrack
 from sonoservo.systems.signals.image_slice import ImageSlice
 from sonoservo.systems.signals.immutable import NotFound
 

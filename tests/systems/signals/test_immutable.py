@@ -1,16 +1,15 @@
 import copy
 from dataclasses import dataclass
+from typing import Annotated, Any
 
 import numpy as np
 import pytest
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform
-from pydrake.systems.framework import LeafSystem
 
-from sonoservo.systems.signals.immutable import Immutable, NotFound, read_only, seal
+from sonoservo.systems.signals.immutable import Immutable, NotFound, Shape, read_only, seal
 from sonoservo.systems.signals.needle_curve import NeedleCurve
-from sonoservo.systems.signals.ports import evaluate
-from sonoservo.systems.signals.requirements import require_positive
+from sonoservo.systems.signals.requirements import Positive
 
 
 def test_values_deep_copy_to_themselves_even_inside_drake():
@@ -72,33 +71,10 @@ def test_bad_arrays_are_refused(array, message):
         read_only(array, "points", (None, 3))
 
 
-@pytest.mark.parametrize("value", [0, -1.0, float("nan"), float("inf"), "1"])
-def test_require_positive_refuses(value):
-    with pytest.raises(ValueError, match="rate: .* must be a number above 0"):
-        require_positive(rate=value)
-
-
 def test_nothing_found_is_falsy_and_says_why():
     nothing = NotFound("too few candidates")
     assert not nothing
     assert nothing.reason == "too few candidates"
-
-
-def test_a_wrong_value_on_a_wire_is_caught_where_it_enters():
-    class Reader(LeafSystem):
-        def __init__(self):
-            super().__init__()
-            self.set_name("reader")
-            self.DeclareAbstractInputPort("curve", Value[object]())
-
-    reader = Reader()
-    context = reader.CreateDefaultContext()
-    reader.GetInputPort("curve").FixValue(context, Value[object](3))
-    assert evaluate(reader, context, "curve", int) == 3
-    with pytest.raises(
-        TypeError, match="'curve' of 'reader' received a value of type int; expected NeedleCurve"
-    ):
-        evaluate(reader, context, "curve", (NeedleCurve, NotFound))
 
 
 def test_volumes_are_kept_in_the_order_that_compiled_code_takes():
@@ -116,3 +92,37 @@ def test_a_value_says_what_it_is_in_one_line():
 
     text = repr(Value(np.zeros((30, 40)), RigidTransform([0.1, 0, 0]), np.array([1.0, 2.0])))
     assert text == "Value(grid=<30 x 40 float64>, X=<pose at [0.1, 0.0, 0.0]>, place=[1., 2.])"
+
+
+@dataclass(frozen=True, eq=False)
+class Points(Immutable):
+    order: int
+    points: Annotated[Any, Shape("n", 3)]
+    marks: Annotated[Any, Shape("n", dtype=np.bool_)] | None = None
+    covariance: Annotated[Any, Shape("3k", "3k")] | None = None
+    spacing: Positive = 1.0
+
+    def _extents(self):
+        return {"k": self.order}
+
+
+def test_a_value_keeps_its_arrays_as_they_are_declared():
+    value = Points(1, [[1, 2, 3], [4, 5, 6]], [0, 1], np.eye(3))
+    assert (value.points.dtype, value.marks.dtype) == (np.float64, np.bool_)
+    for name in ("points", "marks", "covariance"):
+        assert not getattr(value, name).flags.writeable
+    assert Points(1, np.zeros((0, 3))).marks is None
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"points": None}, r"points has shape \(\); expected \(any, 3\)"),
+        ({"marks": [True]}, r"marks has shape \(1,\); expected \(2\)"),
+        ({"covariance": np.eye(6)}, r"covariance has shape \(6, 6\); expected \(3, 3\)"),
+        ({"spacing": 0.0}, "spacing: 0.0 is not allowed"),
+    ],
+)
+def test_a_value_names_the_field_that_is_not_as_declared(changes, message):
+    with pytest.raises(ValueError, match=message):
+        Points(**{"order": 1, "points": np.zeros((2, 3))} | changes)

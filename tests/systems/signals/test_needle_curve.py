@@ -8,6 +8,7 @@ from scipy.interpolate import KroghInterpolator
 
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.needle_curve import NeedleCurve
+from sonoservo.systems.signals.needle_prediction import NeedlePrediction
 
 points = arrays(float, st.tuples(st.integers(2, 4), st.just(3)), elements=st.floats(-0.2, 0.2))
 
@@ -57,3 +58,11 @@ def test_needle_outside_is_falsy_and_a_single_point_refused():
     needle = Needle([[0, 0, 0], [0.03, 0, 0], [0.03, 0.04, 0]], 6e-4)
     assert needle.length == pytest.approx(0.07)
     np.testing.assert_array_equal(needle.curve.control_points, [[0, 0, 0], [0.03, 0.04, 0]])
+
+
+def test_nothing_may_be_known_of_a_needle_that_is_localized_everywhere():
+    assert NeedlePrediction(3, 0.0, everywhere=True).curve is None
+    with pytest.raises(ValueError, match="everywhere"):
+        NeedlePrediction(3, 0.0)
+    with pytest.raises(ValueError, match="curve.order: 2"):
+        NeedlePrediction(3, 0.0, NeedleCurve([[0, 0, 0], [0.03, 0, 0]]))

@@ -120,8 +120,3 @@ def test_grey_levels_are_clipped_and_rounded(make_volume):
             lambda p_P, level=level: np.full(p_P.shape[:-1], level), dtype=np.float32
         )
         assert (sample_plane(volume, plane, 1e-3) == expected).all()
-
-
-def test_a_plane_has_an_extent():
-    with pytest.raises(ValueError, match="height: 0 is not allowed"):
-        Plane(RigidTransform(), 1.0, 0)

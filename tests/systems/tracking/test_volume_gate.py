@@ -10,8 +10,7 @@ from pydrake.math import RigidTransform
 from synthetic_volumes import Scene
 
 from sonoservo.systems.signals.immutable import NotFound
-from sonoservo.systems.signals.volume import Volume
-from sonoservo.systems.signals.volume_check import VolumeCheck
+from sonoservo.systems.signals.volume import Volume, VolumeCheck
 from sonoservo.systems.tracking.volume_gate import VolumeGate
 from sonoservo.systems.tracking.volume_plausibility import (
     VolumePlausibilityParameters,

@@ -5,7 +5,7 @@ import signal
 import subprocess
 import sys
 import threading
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
@@ -19,18 +19,16 @@ from synthetic_volumes import Scene, entry_on_side
 
 from sonoservo.diagrams import MakeNeedleTracker, load_scenario, run, track_recording
 from sonoservo.diagrams.app.cli import run_arguments
-from sonoservo.diagrams.app.drive import DrivenExperiment
 from sonoservo.diagrams.app.live.bridge import play_live, record_live
-from sonoservo.diagrams.app.live.serve import live_senders, needle_names, opened
+from sonoservo.diagrams.app.live.serve import live_senders, needle_names
 from sonoservo.diagrams.app.live.track_live import live_volumes, track_live
 from sonoservo.diagrams.app.options import LiveLimits, ReadingFrames
 from sonoservo.diagrams.app.volumes.opening import live_maker
 from sonoservo.diagrams.app.volumes.track import tracker_parameters
-from sonoservo.systems.display.console.console import Console
 from sonoservo.systems.files.refusals import ConfigurationError
-from sonoservo.systems.live.connection.items import ImageItem, PoseItem, StatusItem, TextItem
+from sonoservo.systems.live.connection.address import parse_address
+from sonoservo.systems.live.connection.items import ImageItem, StatusItem
 from sonoservo.systems.live.connection.link import Link
-from sonoservo.systems.live.connection.protocols import parse_address
 from sonoservo.systems.live.feeds import needle_feed, volume_items
 from sonoservo.systems.live.image_matcher import ImageMatcher
 from sonoservo.systems.live.live_source import LiveSource
@@ -185,16 +183,6 @@ def test_bridge_records_what_was_played(recording, tmp_path):
     assert here == there
 
 
-def test_playing_keeps_the_pace(recording):
-    outlet = FakeOutlet()
-    outlet.dropped, outlet.peers = 0, 1
-    played = []
-    summary = play_live(recording, outlet, speed=200.0, after_volume=played.append)
-    assert summary["volumes"] == COUNT
-    assert played == list(range(COUNT))
-    assert [items[2].time for _, items in outlet.sent] == list(recording.times)
-
-
 def test_quiet_stream_ends_by_patience():
     said = []
     with Link(parse_address("igtl://:0"), report=quiet) as server:
@@ -251,20 +239,6 @@ def test_frames_of_a_run_are_its_volumes(served):
         assert volume.time == image.time
 
 
-def test_driving_is_sent_too():
-    scenario = load_scenario("drive", seed=103)
-    outlet = FakeOutlet()
-    with closing(Console()) as console:
-        driven = DrivenExperiment(scenario, console, observers=live_senders(outlet, scenario))
-        driven.start()
-        driven.advance(0.4)
-        topics = [topic for topic, _ in outlet.sent]
-        assert {"volume", "frames", "slices", "estimate", "truth", ""} == set(topics)
-        driven.start()  # the operator begins anew
-        driven.advance(0.4)
-    assert [topic for topic, _ in outlet.sent].count("volume") == 2 * topics.count("volume")
-
-
 def test_observers_have_no_outputs():
     scenario = load_scenario("chatelain2013_fig4")
     with pytest.raises(ConfigurationError, match=r"observers\.gain: '1 outputs' is not allowed"):
@@ -292,18 +266,6 @@ def test_receiver_tracker_and_sender_are_a_diagram(recording):
     simulator.AdvanceTo(1.0)
     assert not source.volumes
     assert outlet.sent[-1][1][0].time == pytest.approx(recording.times[3])
-
-
-def test_a_client_sees_a_run_as_it_goes():
-    said, items = [], []
-    with opened("igtl://:0", said.append) as link:
-        address = parse_address(f"igtl://localhost:{link.port}")
-        client = Link(address, lambda item, now, peer: items.append(item), quiet)
-        with client:
-            wait_until(lambda: link.peers)
-            link.send([TextItem("Text", 1.0, "hello"), PoseItem("P", 1.0, RigidTransform())])
-            wait_until(lambda: len(items) == 2)
-    assert f"igtl://127.0.0.1:{address.port}" in said[0]
 
 
 def test_names_of_devices_can_be_set():

@@ -31,7 +31,7 @@ from sonoservo.systems.ultrasound.scan_conversion import ScanConversion, make_gr
 def live(tmp_path_factory):
     """A short run as in fig. 4, and its recording."""
     path = tmp_path_factory.mktemp("recorded") / "a.seq.nrrd"
-    changes = ["duration=8", "hand.start=0.5", "hand.pushes.0.speed=0.012"]
+    changes = ["duration=5.5", "hand.start=0.5", "hand.pushes.0.speed=0.012"]
     scenario = load_scenario("chatelain2013_fig4", seed=101, changes=changes)
     return path, run(scenario, record=path, record_sweeps=True)
 
@@ -114,13 +114,13 @@ def test_sweeps_are_recorded_as_acquired(live):
     path, _ = live
     data, header = nrrd.read(str(path.with_name("a.sweeps.seq.nrrd")))
     recording = Recording(path)
-    motion = recording[35].motion
+    motion = recording[21].motion
     assert data.shape == (*motion.geometry.shape[::-1], len(recording))
-    assert header["Seq_Frame0035_SweepDirection"] == str(motion.direction) == "-1"
+    assert header["Seq_Frame0021_SweepDirection"] == str(motion.direction) == "-1"
     # Scan conversion of what was recorded gives the volume that was recorded.
     conversion = ScanConversion(motion.geometry, make_grid(motion.geometry, 0.7e-3))
-    volume = conversion.convert(np.ascontiguousarray(data[..., 35].T), motion.direction)
-    np.testing.assert_array_equal(volume, recording[35].intensities)
+    volume = conversion.convert(np.ascontiguousarray(data[..., 21].T), motion.direction)
+    np.testing.assert_array_equal(volume, recording[21].intensities)
 
 
 def test_a_player_takes_the_place_of_the_scanner(live):
@@ -156,6 +156,7 @@ def volumes():
 
 
 def test_files_of_others_track_equally_whoever_wrote_them(tmp_path, volumes):
+    """Without the sector's geometry, the field of view is where the voxels are not zero."""
     arrays = [volume.intensities for volume in volumes[::2]]
     times = [volume.time for volume in volumes[::2]]
     slicer = write_sequence_nrrd(
@@ -187,17 +188,6 @@ def test_anywhere_finds_a_needle_that_was_always_there(tmp_path, volumes):
     assert np.linalg.norm(found[-1].curve.tip - needle(99)[1]) < 2e-3
     empty = [SCENE.volume(k) for k in range(3)]
     assert not any(track(empty, parameters=anywhere))
-
-
-def test_an_insertion_is_seen_without_the_sector_s_geometry(tmp_path, volumes):
-    """In others' files the field of view is where the voxels are not zero."""
-    path = tmp_path / "a.seq.nrrd"
-    with RecordingWriter(path) as writer:
-        for volume in volumes[::2]:
-            writer.append(volume)
-    path.with_name("a.acquisition.jsonl").unlink()
-    found = track_recording(Recording(path)).estimates
-    assert np.linalg.norm(found[-1].curve.tip - needle(99)[1]) < 2.5e-3
 
 
 def test_poses_of_plus_carry_the_needle_into_the_tracker_s_frame(tmp_path, volumes):

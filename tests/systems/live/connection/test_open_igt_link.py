@@ -85,28 +85,6 @@ def test_image_of_big_endian_numbers():
     np.testing.assert_array_equal(item.voxels, voxels)
 
 
-def test_our_messages_are_read_by_pyigtl():
-    image, pose, _, points, text = ITEMS[:5]
-    data = encode(image)
-    fields = messages.MessageBase.parse_header(data[:58])
-    read = messages.MessageBase.create_message("IMAGE")
-    read.unpack(fields, data[58:])
-    assert (read.device_name, read.timestamp, read.world_coordinate_system) == (
-        "Image_Probe",
-        1.5,
-        "ras",
-    )
-    np.testing.assert_array_equal(read.image, VOXELS.transpose(2, 1, 0))
-    expected = np.diag([-1e3, -1e3, 1e3]) @ image.X_LI[:3]
-    np.testing.assert_allclose(read.ijk_to_world_matrix[:3], expected, atol=1e-5)
-    for item, kind in ((pose, "TRANSFORM"), (points, "POINT"), (text, "STRING")):
-        data = encode(item)
-        read = messages.MessageBase.create_message(kind)
-        read.unpack(messages.MessageBase.parse_header(data[:58]), data[58:])
-        assert read.device_name == item.name
-        assert messages.CRC64(data[58:]) == int.from_bytes(data[50:58], "big")
-
-
 @pytest.mark.parametrize("components", [3, 4])
 @pytest.mark.parametrize("dtype", ["u1", "<u2", "<f4"])
 def test_colours_become_their_luminance(components, dtype):
