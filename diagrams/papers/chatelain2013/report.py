@@ -47,7 +47,8 @@ NOTES = (
     "35 deg; a volume shows a needle with 20 mm at least; discarded draws do not count; the needle "
     "ends 9 dB above its surroundings, after gaps of 6 mm at most "
     "(PublishedLocalizationParameters). Filter: R and Q are the same for all control points. A "
-    "track ends after 10 volumes without a measurement (PublishedLifecycle). lambda is 0.8/s (FollowingScenario.as_published).",
+    "track ends after 10 volumes without a measurement (PublishedLifecycle). lambda is 0.8/s "
+    "(FollowingScenario.as_published).",
     "Sweeps to and fro differ by more than a needle of 2.5 mm/s changes between them. Between "
     "sweeps of one direction, 5 mm3 spread by 24, 13 and 1 mm with a needle of 2 to 25 mm (medians "
     "of fig. 4, seeds 100 and 101, and fig. 5, seed 101), and by no less than 34 mm without one. "
