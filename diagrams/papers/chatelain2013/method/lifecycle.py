@@ -30,8 +30,8 @@ class PublishedLifecycle:
     filter, without a gate on its innovation. A lost needle is not searched for.
 
     The paper does not say when a track ends. Here it ends after many volumes in a row that do not
-    show the needle with that length. Many, as it may be dim for a moment, or leave the region where
-    the phantom is moved.
+    show the needle with `least_length`. Many, as it may be dim for a moment, or leave the region
+    where the phantom is moved.
 
     Parameters
     ----------

@@ -57,9 +57,8 @@ class PublishedLocalizationParameters(Bounded):
     max_angle_deg
         Largest angle alpha_0 from the predicted direction (eq. 22), in degrees.
     min_length
-        Length with which a volume must show a needle, in m. Around an entry, tissue alone shows
-        lines of 10 to 15 mm; where a gap cuts a needle, its rest would throw the filter's entry
-        forwards.
+        Visible length from which on a needle is tracked, in m. Around an entry, tissue alone shows
+        lines of 10 to 15 mm. See `least_length` for later volumes.
     max_gap
         Largest gap in the intensity along the needle that does not end it, in m.
     std
@@ -144,7 +143,7 @@ def _localize(
     if first and np.linalg.norm(tip[0] - entry) > np.linalg.norm(tip[1] - entry):
         ends = ends[::-1]
     length = float(abs(ends[1] - ends[0]))
-    if length < parameters.min_length:
+    if length < least_length(region.curve.chord, first, parameters.min_length):
         return NotFound(f"only {1e3 * length:.1f} mm of the needle are visible")
     # Control points are uniform along the chord: the entry rests, the tip moves, no point slides.
     curve = NeedleCurve(axis.position(np.linspace(ends[0], ends[1], order)))
@@ -201,6 +200,15 @@ def _ends(
     bright = profile.seen & (profile.level > surroundings + parameters.end_contrast)
     ends = intensity_drops(profile.a[bright], float(np.median(inliers)), parameters.max_gap)
     return np.array(ends)
+
+
+def least_length(predicted: float, first: bool, min_length: float) -> float:
+    """Return the length in m with which a volume must show a needle of a predicted length.
+
+    Where a gap cuts a needle, the longer part is half of it or more. Less than that would throw the
+    filter's entry forwards.
+    """
+    return min_length if first else max(min_length, predicted) / 2
 
 
 def intensity_drops(
