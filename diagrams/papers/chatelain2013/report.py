@@ -44,7 +44,7 @@ NOTES = (
     "that of our method. Detection: 5 mm3 of candidates, tau (27 mm)^2, delta 7 mm; the faces "
     "are those of the swept sector (PublishedDetectionParameters). Localization: 400 mm3 of "
     "candidates in a region of 20 mm around the prediction, or around a detected entry, alpha_0 "
-    "35 deg; a needle starts with 20 mm and goes on with half its predicted length; discarded "
+    "35 deg; a needle starts with 20 mm and goes on with half of that; discarded "
     "draws do not count; the needle ends 9 dB above its surroundings, after gaps of 6 mm at most "
     "(PublishedLocalizationParameters). Filter: R and Q are the same for all control points. A "
     "track ends after 10 volumes without a measurement (PublishedLifecycle). lambda is 0.8/s "

@@ -143,7 +143,7 @@ def _localize(
     if first and np.linalg.norm(tip[0] - entry) > np.linalg.norm(tip[1] - entry):
         ends = ends[::-1]
     length = float(abs(ends[1] - ends[0]))
-    if length < least_length(region.curve.chord, first, parameters.min_length):
+    if length < least_length(first, parameters.min_length):
         return NotFound(f"only {1e3 * length:.1f} mm of the needle are visible")
     # Control points are uniform along the chord: the entry rests, the tip moves, no point slides.
     curve = NeedleCurve(axis.position(np.linspace(ends[0], ends[1], order)))
@@ -202,13 +202,12 @@ def _ends(
     return np.array(ends)
 
 
-def least_length(predicted: float, first: bool, min_length: float) -> float:
-    """Return the length in m with which a volume must show a needle of a predicted length.
+def least_length(first: bool, min_length: float) -> float:
+    """Return the length in m with which a volume must show a needle: half that of its start.
 
-    Where a gap cuts a needle, the longer part is half of it or more. Less than that would throw the
-    filter's entry forwards.
+    Half, as a needle may be dim in places; less would throw the filter's entry forwards.
     """
-    return min_length if first else max(min_length, predicted) / 2
+    return min_length if first else min_length / 2
 
 
 def intensity_drops(

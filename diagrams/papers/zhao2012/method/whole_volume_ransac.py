@@ -170,9 +170,7 @@ def explain_whole_volume_localization(
     result: NeedleMeasurement | NotFound
     if isinstance(found, NotFound):
         result = found
-    elif found.tip - found.start < least_length(
-        prediction.curve.chord, prediction.entry is None, parameters.min_length
-    ):
+    elif found.tip - found.start < least_length(prediction.entry is None, parameters.min_length):
         result = NotFound(f"only {1e3 * (found.tip - found.start):.1f} mm of a needle are visible")
     else:
         curve = NeedleCurve(found.fit.axis.position(np.array([found.start, found.tip])))
