@@ -8,6 +8,8 @@ The paper leaves some points open. They are decided as follows:
 * Principal components do not determine the sense of u. The mark on a needle's hub does, as it shows
   the side to which the bevel bends. It is the parameter `bevel_direction_deg`. Without it, u points
   to the needle's position at 10 mm.
+* Step 7 updates "all other particles", so those that pass closest stay. Step 9 does not say which
+  particles are removed: those that fit worst.
 * phi is found from all points so far. Section III has it constant, and a constant is the better
   known the more points there are: at 10 mm, the needle is a few hundredths of a millimetre off a
   straight line, and phi would be mostly noise.
