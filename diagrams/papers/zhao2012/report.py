@@ -39,9 +39,8 @@ NOTES = (
     "and the speckle's velocity with the published search region around the known tip. 'Our "
     "RANSAC' is the one in our tracker: it searches near the prediction and refits three times. "
     "Our Kalman filter uses it, and its search for the speckle is centred on the prediction.",
-    "Our filter improves the angles and the elevation that our RANSAC finds, but neither x nor z: "
-    "its tip lies 0.14 to 0.26 mm short along the needle, by much the same in every volume, and no "
-    "filter averages that out. What scatters about it is 0.1 to 0.2 mm.",
+    "Our RANSAC's tip lies 0.04 mm too far along the needle and scatters by 0.08 mm. On seeds 100 "
+    "to 102, our filter takes 34 % off the tip's error, and adds 17 % to that of beta.",
     "Fresh speckle: each run has a phantom of its own. Same volumes: all runs share one phantom "
     "and differ only in RANSAC's draws, as probably in the paper. A needle at rest is shown 5 "
     "times, unchanged.",
