@@ -238,7 +238,8 @@ class _Needles:
     def std(self, method: str, key: str) -> Value:
         """Return the standard deviation of an error, against the truth and the measured path."""
         columns = (self.column(method, key.format(each)) for each in ("true", "measured"))
-        return Value(*(_figure(partial(np.std, ddof=1), each, least=2) for each in columns))
+        true, measured = (_figure(partial(np.std, ddof=1), each, least=2) for each in columns)
+        return Value(true, measured)
 
     def tracking(self, method: str, *path: str, missing: Any = None) -> Floats:
         """Return a figure of every needle of a method's tracker."""
@@ -293,9 +294,9 @@ def set_rows(name: str, outcomes: Sequence[Outcome]) -> list[StudyRow]:
     for quantity, unit in (("tip", "mm"), ("shape", "mm²")):
         key = f"{quantity}_error_{{}}_{unit.replace('²', '2')}"
         known = paper.get(quantity)
-        both(f"{quantity} error, mean", unit, lambda m, k=key: needles.mean(m, k),
+        both(f"{quantity} error, mean", unit, partial(needles.mean, key=key),
              paper=known, target=known)  # fmt: skip
-        both(f"{quantity} error, standard deviation", unit, lambda m, k=key: needles.std(m, k),
+        both(f"{quantity} error, standard deviation", unit, partial(needles.std, key=key),
              paper=paper.get(f"{quantity}_std"))  # fmt: skip
         for method in (each for each in (TAUGHT, LEAST_SQUARES) if needles.has(each)):
             needles.row(f"{quantity} error, {_STATED[method]}, mean", unit,
