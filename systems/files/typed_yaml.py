@@ -9,7 +9,7 @@ import difflib
 import math
 import types
 import typing
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
@@ -224,7 +224,8 @@ class _Loader:
         made = {}
         for key, item in value.items():
             if key not in fields:
-                inside = _inside(str(key), fields)
+                used = {n for n in fields if n in value or getattr(default, n) is not None}
+                inside = _inside(str(key), fields, used)
                 hint = f"did you mean {prefix + inside!r}?" if inside else suggest(str(key), fields)
                 self._fail(f"{prefix}{key}", f"unknown field; {hint}")
             made[key] = self.make(fields[key], item, f"{prefix}{key}", getattr(default, key))
@@ -245,12 +246,14 @@ def _plain_type(hint: Any) -> Any:
     return hint.__origin__ if typing.get_origin(hint) is typing.Annotated else hint
 
 
-def _inside(key: str, fields: Mapping[str, Any]) -> str | None:
-    """Return the path of a field by its name in one of the sections, or None."""
-    for name, hint in fields.items():
+def _inside(key: str, fields: Mapping[str, Any], used: Container[str]) -> str | None:
+    """Return the path of a field by its name in one of the sections, used ones first, or None."""
+    for name, hint in sorted(fields.items(), key=lambda field: field[0] not in used):
         union = typing.get_origin(hint) in (types.UnionType, typing.Union)
-        if any(key in _fields(each) for each in (typing.get_args(hint) if union else [hint])):
-            return f"{name}.{key}"
+        for each in typing.get_args(hint) if union else [hint]:
+            elements = typing.get_args(each) if typing.get_origin(each) is list else ()
+            if any(key in _fields(one) for one in elements or [each]):
+                return f"{name}.0.{key}" if elements else f"{name}.{key}"
     return None
 
 

@@ -217,5 +217,6 @@ def _judge(
         volume.X_WP,
         tip_seen=min(extent.seen, 1.0),
         elsewhere=extent.elsewhere,
-        hidden_std=extent.hidden_std,
+        bevel_std=extent.bevel_std,
+        unseen=extent.unseen,
     )

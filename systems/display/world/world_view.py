@@ -89,7 +89,7 @@ class WorldViewParameters(Bounded):
     camera: Point = field(default_factory=lambda: [0.86, -0.54, 0.40])
     camera_target: Point = field(default_factory=lambda: [0.46, -0.02, 0.22])
     field_of_view_deg: Annotated[float, between(0, 180)] = 42.0
-    phase_position: Point = field(default_factory=lambda: [0.60, 0.09, 0.34])
+    phase_position: Point = field(default_factory=lambda: [0.565, 0.063, 0.34])
 
 
 class WorldView(LeafSystem):
@@ -171,7 +171,7 @@ class WorldView(LeafSystem):
             frames=parameters.film_frames, period=parameters.film_period,
         )  # fmt: skip
         R = facing(parameters.camera, parameters.camera_target)
-        self._phase = Label(meshcat=meshcat, path=f"{path}/phase", height=0.04, width=_SIGN)
+        self._phase = Label(meshcat=meshcat, path=f"{path}/phase", height=0.03, width=_SIGN)
         self._reason = Label(meshcat=meshcat, path=f"{path}/phase/reason", height=0.03, width=_SIGN)
         meshcat.SetTransform(f"{path}/phase/reason", RigidTransform([0.0, 0.04, 0.0]))
         X_WPhase = RigidTransform(R, np.array(parameters.phase_position))

@@ -221,7 +221,7 @@ def test_explanation_has_all_that_was_looked_at():
         explained.measurement.curve.control_points,
         run(volume, prediction).curve.control_points,
     )
-    assert attempt.region.entry is prediction.entry
+    np.testing.assert_array_equal(attempt.region.entry, prediction.entry)
     assert len(attempt.candidates) == len(attempt.weights) == len(attempt.inliers) > 100
     aside = attempt.candidates - ENTRY
     aside = np.linalg.norm(aside - np.outer(aside @ K, K), axis=1)
