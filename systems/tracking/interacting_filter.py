@@ -142,10 +142,10 @@ class InteractingFilter:
         Name of the filter, always "interacting".
     steady, unsteady, carried
         Spectral densities of the needle's acceleration under each model.
-    steady_time, unsteady_time, carried_time
-        Mean time for which a needle moves steadily, unsteadily and with the tissue, in s.
+    lasting
+        Mean time in s for which a needle, or its end, moves in one way.
     unseen_time
-        Time in s in which the velocity falls to 1/e while the tip is not seen. A hand that pushes
+        Time in s in which the speed of a tip that is not seen falls to 1/e. A hand that pushes
         stops before long.
     constant, repeated
         Shares of a measurement's variance that never change, and that repeat themselves at the same
@@ -168,9 +168,7 @@ class InteractingFilter:
     carried: NeedleMotionParameters = field(
         default_factory=lambda: NeedleMotionParameters(body=3e-5)
     )
-    steady_time: Positive = 3.0
-    unsteady_time: Positive = 1.0
-    carried_time: Positive = 1.0
+    lasting: Positive = 2.0
     unseen_time: Positive = 0.5
     constant: float = 0.25
     repeated: float = 0.65
@@ -186,10 +184,6 @@ class InteractingFilter:
         require(min(self.constant, self.repeated) >= 0, "constant", self.constant, "at least 0")
         require(both < 1, "constant + repeated", both, "below 1")
         check_bounds(self)
-
-    @property
-    def _times(self) -> Floats:
-        return np.array([self.steady_time, self.unsteady_time, self.carried_time])
 
     def start(self, measurement: NeedleMeasurement) -> InteractingState:
         """Return the state after a first measurement, with an unknown velocity."""
@@ -208,14 +202,13 @@ class InteractingFilter:
         advancing[velocities, velocities] += self.first_speed_std**2 * np.outer(beyond, beyond)
         hidden[-2, -2], hidden[-1, -1] = 2 * REACH**2, self.first_speed_std**2
         mean = np.concatenate([curve.control_points.ravel(), np.zeros(2 * size + 2)])
-        # As many as there are on average: all models are left for each other one alike.
-        weights, unseen = self._times / self._times.sum(), measurement.unseen
+        unseen = measurement.unseen
         return InteractingState(
             measurement.time,
             np.stack([mean] * 9),
             np.stack([advancing, P, hidden] * 3),
             # Before anything is known, a hand that pushes is as probable as one that rests.
-            np.kron(weights, [0.5 * (1 - unseen), 0.5 * (1 - unseen), unseen]),
+            np.tile([0.5 * (1 - unseen), 0.5 * (1 - unseen), unseen], 3) / 3,
             self._constant(measurement, R),
             measurement,
             k,
@@ -226,7 +219,8 @@ class InteractingFilter:
         dt = time - state.time
         if dt <= 0:
             return state
-        switch = np.kron(transition(dt, self._times), np.eye(3)).T
+        left = 1 - math.exp(-dt / self.lasting)
+        switch = np.kron((1 - 1.5 * left) * np.eye(3) + 0.5 * left, np.eye(3))
         weights, x, P = _mixed(switch * state.weights, state.means, state.covariances)
         size, curve = state.means.shape[1] // 3, state.curve
         moving, count = slice(2 * size), len(weights)
@@ -295,7 +289,7 @@ class InteractingFilter:
             covariances=0.5 * (covariances + covariances.swapaxes(-1, -2)),
             weights=weights.sum(axis=1),
             constant=self._constant(measurement, R),
-            seen=replace(measurement, tip_seen=min(float(weights[:, 0].sum()), 1.0)),
+            seen=measurement,
             axis=axis,
         )
 
@@ -316,7 +310,7 @@ class InteractingFilter:
             slid = math.hypot((X.multiply(end) - end) @ k, np.linalg.norm(turned))
         renewed = 1 - math.exp(-(advanced + slid) / REACH)
         hides, shows = renewed * now.unseen, renewed * (1 - now.unseen)
-        changes = 1 - math.exp(-dt / self.steady_time)
+        changes = 1 - math.exp(-dt / self.lasting)
         # An end that hides stops while the needle advances. One that stops or starts is the tip,
         # and what hid shows itself where the needle ends.
         same, hide, show = (np.eye(3 * size + 2) for _ in range(3))
@@ -349,10 +343,7 @@ class InteractingFilter:
 
     def _constant(self, measurement: NeedleMeasurement, R: Floats) -> Floats:
         """Return the covariance of the errors that all measurements have in common."""
-        k = measurement.curve.direction
-        constant = self.constant * R
-        constant[-3:, -3:] += measurement.bevel_std**2 * np.outer(k, k)
-        return constant
+        return self.constant * R + (0 if measurement.common is None else measurement.common)
 
     def _correlation(self, before: NeedleMeasurement, now: NeedleMeasurement) -> float:
         """Return the correlation of the repeated errors of two measurements."""
@@ -399,25 +390,6 @@ def _root(R: Floats) -> Floats:
     """Return the symmetric square root of a covariance, which turns with its frame."""
     values, vectors = np.linalg.eigh(R)
     return np.asarray((vectors * np.sqrt(values.clip(0))) @ vectors.T)
-
-
-def transition(dt: float, times: Floats) -> Floats:
-    """Return the (3, 3) probabilities of going from each of three models to each other.
-
-    A model holds for its mean time of `times` and is left for each other one alike; both times in
-    s. The rates' exponential is closed: their eigenvalues are 0, for the share of time spent in
-    each model, and -m - d and -m + d, for all that passes.
-    """
-    a, b, c = (0.5 * dt / float(time) for time in times)
-    rates = np.array([[-2 * a, a, a], [b, -2 * b, b], [c, c, -2 * c]])
-    m, d = a + b + c, math.sqrt(0.5 * ((a - b) ** 2 + (b - c) ** 2 + (c - a) ** 2))
-    lasting = np.broadcast_to(times / times.sum(), (3, 3))
-    passing = np.eye(3) - lasting
-    # exp(-m) times cosh(d) and sinh(d) / d, without overflow.
-    slower = math.exp(d - m)
-    cosh = 0.5 * slower * (1 + math.exp(-2 * d))
-    sinh = -0.5 * slower * math.expm1(-2 * d) / d if d > 0 else slower
-    return np.asarray(lasting + cosh * passing + sinh * (rates + m * passing))
 
 
 def _mixed(weights: Floats, means: Floats, covariances: Floats) -> tuple[Any, Any, Any]:

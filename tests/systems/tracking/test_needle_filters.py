@@ -144,7 +144,7 @@ def test_tip_agrees_with_a_kalman_filter_on_the_tip_alone(case):
     if isinstance(needle_filter, InteractingFilter):
         # Its end advances, as it did for ever.
         state = replace(state, weights=np.eye(9)[0])
-        needle_filter = replace(needle_filter, steady_time=1e12)
+        needle_filter = replace(needle_filter, lasting=1e12)
     tip = np.r_[3 * order - 3 : 3 * order, 6 * order - 3 : 6 * order]
     x = np.concatenate([state.curve.tip, np.zeros(3)])
     P = state.covariance[np.ix_(tip, tip)]

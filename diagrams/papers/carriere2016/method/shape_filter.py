@@ -21,12 +21,12 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.systems.shape.shape_filter import ShapePaths
-from sonoservo.systems.shape.shape_filters import ShapeFilterChoice
-from sonoservo.systems.shape.shape_parameters import (
+from sonoservo.systems.shape.shape_filter import (
     MAX_PARTICLES,
     ShapeEstimatorParameters,
+    ShapePaths,
 )
+from sonoservo.systems.shape.shape_filters import ShapeFilterChoice
 from sonoservo.systems.signals.bicycle_paths import deflections
 from sonoservo.systems.signals.immutable import Immutable, NotFound
 from sonoservo.systems.signals.requirements import (
