@@ -16,7 +16,7 @@ def spaced(shaft, spacing):  # type: ignore[no-untyped-def]
         dz = shaft[k, 2] - shaft[k - 1, 2]
         ends[k] = ends[k - 1] + np.sqrt(dx * dx + dy * dy + dz * dz)
     length = ends[-1]
-    count = max(np.int64(np.ceil(length / spacing)) + 1, len(shaft), 2)
+    count = max(int(np.ceil(length / spacing)) + 1, len(shaft))
     points = np.empty((count, 3))
     points[-1] = shaft[-1]
     k = 0
