@@ -39,7 +39,7 @@ WITHDRAWN = (
 KINDS = {
     "clinic": ("clinic", MotionPlan, (), None),
     "moving": ("clinic", SearchingPlan, ("hand.start=8.0",), None),
-    "free": ("clinic", SearchingPlan, (FREE,), 40.0),
+    "free": ("clinic", SearchingPlan, (FREE,), 20.0),
     "faint": ("faint", MotionPlan, ("scanner.needle.specular_db=28.0",), None),
     "fast": ("fast", MotionPlan, (), None),
     "wire": ("guide wire", MotionPlan, (), None),
