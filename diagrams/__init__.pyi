@@ -10,9 +10,9 @@ from .app.volumes.calibrate import calibrate_recording as calibrate_recording
 from .app.volumes.locate import LocatedNeedle as LocatedNeedle
 from .app.volumes.locate import locate as locate
 from .app.volumes.locate import locate_in as locate_in
+from .app.volumes.track import TrackedRecording as TrackedRecording
 from .app.volumes.track import track_recording as track_recording
 from .app.volumes.track import tracker_parameters as tracker_parameters
-from .app.volumes.tracked_recording import TrackedRecording as TrackedRecording
 from .assembly import assemble_arm as assemble_arm
 from .assembly import load_dome_radius as load_dome_radius
 from .assembly import load_probe_body as load_probe_body

@@ -12,8 +12,8 @@ from pydrake.systems.framework import Context, Diagram, System
 
 from sonoservo.diagrams.needle_tracker import MakeNeedleTracker
 from sonoservo.diagrams.trackers.tracker_parts import TrackerParameters
-from sonoservo.systems.calibration.hand_eye_corrector import HandEyeCorrector
-from sonoservo.systems.evaluation.explanation.explanation_recorder import ExplanationRecorder
+from sonoservo.systems.calibration.pose_corrector import HandEyeCorrector
+from sonoservo.systems.evaluation.explanation.explained_volume import ExplanationRecorder
 from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.evaluation.run_logger import RunLogger
 from sonoservo.systems.files.refusals import ConfigurationError

@@ -20,12 +20,13 @@ from pydrake.systems.sensors import CameraInfo
 
 from sonoservo.diagrams import load_scenario, make_experiment
 from sonoservo.systems.display.shapes import sector_edges
-from sonoservo.systems.evaluation.reports.key_frames import ESTIMATE, TRUTH, true_needle
+from sonoservo.systems.evaluation.reports.key_frames import true_needle
+from sonoservo.systems.evaluation.reports.plots import ESTIMATE, TRUTH
 from sonoservo.systems.evaluation.run_errors import at_times, features
 
 PATH = Path(__file__).with_name("needle.webp")
 WORLD, SLICE = (560, 500), (330, 246)
-FIRST, LAST, RATE = 7.5, 22.0, 6.0
+BEFORE, AFTER, RATE = 3.0, 11.0, 6.0  # s shown around the find of the needle; pictures a second
 CAMERA, TARGET, FIELD_OF_VIEW = [1.05, -0.95, 0.62], [0.28, 0.0, 0.43], np.radians(42)
 QUALITY = 60
 BACKGROUND, INK, SECTOR = (245, 246, 248), (40, 44, 52), (90, 120, 170)
@@ -61,9 +62,9 @@ def render(experiment):
     return Image.fromarray(image.data[..., :3].copy())
 
 
-def simulate(duration):
+def simulate():
     """Return the experiment after its run, and a picture of the world for each volume."""
-    scenario = load_scenario("chatelain2013_fig5", changes={"duration": duration})
+    scenario = load_scenario("chatelain2013_fig5")
     experiment = make_experiment(scenario, pictures=True)
     parameters = RenderEngineVtkParams(
         backend="EGL", default_clear_color=np.array(BACKGROUND) / 255
@@ -73,7 +74,7 @@ def simulate(duration):
     worlds = {}
 
     def keep(each):
-        if each.pictures and each.time >= FIRST:
+        if each.pictures:
             worlds[each.pictures[-1].time] = render(each)
 
     experiment.run(keep)
@@ -129,7 +130,10 @@ def frames(experiment, worlds):
     """Yield the frames."""
     log, font = experiment.log(), ImageFont.load_default(size=18)
     errors = features(log.X_WP, log.needle_tip, log.needle_entry)
+    found = log.volume_time[np.isfinite(log.volume_estimate_tip[:, 0])][0]
     for volume, time in enumerate(log.volume_time):
+        if not -BEFORE <= time - found <= AFTER:
+            continue
         taken = min(experiment.pictures, key=lambda each: abs(each.time - time))
         if taken.time not in worlds:
             continue
@@ -153,9 +157,9 @@ def frames(experiment, worlds):
         yield frame
 
 
-def main(path=PATH, last=LAST):
+def main(path=PATH):
     """Write the moving picture."""
-    first, *others = frames(*simulate(last))
+    first, *others = frames(*simulate())
     first.save(
         path, save_all=True, append_images=others, duration=round(1e3 / RATE), loop=0,
         quality=QUALITY, method=6,

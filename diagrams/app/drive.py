@@ -22,10 +22,8 @@ from sonoservo.diagrams.experiments.following_scene import (
     settings_controls,
 )
 from sonoservo.diagrams.scenario import Scenario, require_scenario
-from sonoservo.systems.control.controller_schedule import ControllerSchedule
-from sonoservo.systems.control.operator_settings import OperatorSettings
-from sonoservo.systems.display.console.controls import operator_controls
-from sonoservo.systems.display.console.operator_panel import OperatorPanel
+from sonoservo.systems.control.controller_schedule import ControllerSchedule, OperatorSettings
+from sonoservo.systems.display.console.controls import OperatorPanel, operator_controls
 from sonoservo.systems.evaluation.log import write_log
 from sonoservo.systems.files.writing import claim_folder, write_atomically
 from sonoservo.systems.needle.operator_hand import OperatorHand

@@ -14,7 +14,7 @@ from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
 from sonoservo.diagrams.scenario import Scenario, require_scenario
 from sonoservo.systems.display.shapes import sector_edges
 from sonoservo.systems.evaluation.run_log import RunLog
-from sonoservo.systems.evaluation.viewer_logs.run_stream import (
+from sonoservo.systems.evaluation.viewer_logs import (
     Surroundings,
     open_viewer_log,
     write_run,

@@ -7,8 +7,7 @@ from numpy.typing import NDArray
 from pydrake.systems.framework import Diagram, DiagramBuilder
 from pydrake.systems.primitives import PassThrough
 
-from sonoservo.systems.control.controller_schedule import ControllerSchedule
-from sonoservo.systems.control.scheduled_settings import ScheduledSettings
+from sonoservo.systems.control.controller_schedule import ControllerSchedule, ScheduledSettings
 
 
 @dataclass(frozen=True)

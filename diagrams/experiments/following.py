@@ -23,13 +23,12 @@ from sonoservo.diagrams.needle_tracker import MakeNeedleTracker, require_tracker
 from sonoservo.diagrams.probe_controller import MakeProbeController
 from sonoservo.diagrams.scenario import Scenario, draw_seeds, require_scenario
 from sonoservo.diagrams.station import MakeStation
-from sonoservo.systems.control.operator_settings import OperatorSettings
+from sonoservo.systems.control.controller_schedule import OperatorSettings
 from sonoservo.systems.display.console.console_feed import ConsoleFeed
 from sonoservo.systems.display.world.world_view import WorldView, WorldViewParameters
-from sonoservo.systems.evaluation.explanation.explanation_recorder import ExplanationRecorder
+from sonoservo.systems.evaluation.explanation.explained_volume import ExplanationRecorder
 from sonoservo.systems.evaluation.metrics import MetricsParameters, summarize
-from sonoservo.systems.evaluation.reports.picture_recorder import PictureRecorder
-from sonoservo.systems.evaluation.reports.track_plots import VolumePictures
+from sonoservo.systems.evaluation.reports.track_plots import PictureRecorder, VolumePictures
 from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.evaluation.run_logger import RunLogger
 from sonoservo.systems.recording.volume_recorder import VolumeRecorder

@@ -14,10 +14,8 @@ from sonoservo.diagrams.probe_controller import ProbeControllerParameters
 from sonoservo.diagrams.scenario import Scenario, draw_seeds, require_scenario
 from sonoservo.diagrams.scene import Scene
 from sonoservo.diagrams.station import ProbePlacement, check_reach
-from sonoservo.systems.control.operator_settings import OperatorSettings
-from sonoservo.systems.control.scheduled_settings import ScheduledSettings
-from sonoservo.systems.display.console.controls import Control, controller_controls
-from sonoservo.systems.display.console.operator_panel import OperatorPanel
+from sonoservo.systems.control.controller_schedule import OperatorSettings, ScheduledSettings
+from sonoservo.systems.display.console.controls import Control, OperatorPanel, controller_controls
 from sonoservo.systems.needle.hand import Hand
 from sonoservo.systems.needle.insertion import Insertion
 from sonoservo.systems.needle.insertion_parameters import OUTER_DIAMETER, InsertionParameters, Push

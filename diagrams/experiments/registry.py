@@ -16,8 +16,8 @@ from sonoservo.systems.files.typed_yaml import (
     merged,
     read_yaml,
     suggest,
-    without_numpy,
 )
+from sonoservo.systems.files.writing import to_plain
 
 if TYPE_CHECKING:
     from sonoservo.diagrams.experiments.experiment import Experiment
@@ -154,7 +154,7 @@ def _change(
     """Apply changes to a scenario's data, and its seed."""
     apply_changes(data, changes)
     if seed is not None:
-        data["seed"] = without_numpy(seed)
+        data["seed"] = to_plain(seed, for_json=False)
 
 
 def _needle_of(data: Mapping[str, Any]) -> tuple[Any, Any]:
@@ -175,7 +175,7 @@ def _of_needle(data: Mapping[str, Any]) -> dict[str, Any]:
     )
 
     if data["needle"] == DRAWN:
-        return draw_needle(without_numpy(data.get("seed", 0)))
+        return draw_needle(to_plain(data.get("seed", 0), for_json=False))
     kind = load_needle(data["needle"])
     return {"hand": {"gauge": kind.gauge}, "scanner": {"needle": asdict(kind.echo)}}
 

@@ -8,8 +8,11 @@ to be at p' = p - R (s + r x q + tau (v + omega x q)). What it seems to move bet
 linear in the seven unknowns.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Annotated
 
 import numpy as np
 from numpy.polynomial import polynomial
@@ -18,13 +21,78 @@ from pydrake.math import RigidTransform, RotationMatrix
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from sonoservo.systems.calibration.tissue_displacement import TissueDisplacement
+from sonoservo.systems.shape.normalized_cross_correlation import Match, best_match
 from sonoservo.systems.signals.acquisition import acquired_from
-from sonoservo.systems.signals.immutable import Immutable, NotFound, read_only
+from sonoservo.systems.signals.immutable import Immutable, NotFound, Shape, Vector3
 from sonoservo.systems.signals.sweep import SweepMotion
 from sonoservo.systems.signals.volume import Volume
 
 Floats = NDArray[np.float64]
+
+# Distance between the samples of a block in m, its edge length in samples, and the largest
+# displacement that is looked for, in samples.
+_PITCH, _KERNEL, _REACH = 0.7e-3, 15, 6
+_APART = 14e-3  # Distance between the centres of neighbouring blocks, in m
+_SEEN = 0.98  # Share of a search region that must be seen
+_LEAST_CORRELATION = 0.5  # Correlation below which a block counts as changed
+
+
+@dataclass(frozen=True, eq=False)
+class TissueDisplacement(Immutable):
+    """(m, 3) centres of blocks in W by the first volume, and displacements in the second, in m."""
+
+    p_W: Annotated[Floats, Shape(None, 3)]
+    displacement: Annotated[Floats, Shape(None, 3)]
+
+
+def displacement_between(first: Volume, second: Volume) -> TissueDisplacement:
+    """Measure how far tissue seems to have moved in W between two volumes that overlap there.
+
+    Blocks of the first volume are looked for in the second one. If tissue and poses are right, they
+    are found where they were.
+    """
+    half, axes = _KERNEL // 2, first.X_WP.rotation().matrix()
+    p_W = first.to_world(_centres(first))[0]
+    p_W = p_W[_is_seen(first, p_W, axes, half) & _is_seen(second, p_W, axes, half + _REACH)]
+    centres, displacements = [], []
+    for centre in p_W:
+        kernel = _block(first, centre, axes, half)
+        region = _block(second, centre, axes, half + _REACH)
+        if min(np.mean(kernel > 0), np.mean(region > 0)) < _SEEN:
+            continue
+        match = best_match(region, kernel)
+        if not isinstance(match, Match) or match.at_border.any():
+            continue
+        if match.correlation >= _LEAST_CORRELATION:
+            centres.append(centre)
+            displacements.append(axes @ (_PITCH * (match.position - _REACH)))
+    return TissueDisplacement(np.reshape(centres, (-1, 3)), np.reshape(displacements, (-1, 3)))
+
+
+def _centres(volume: Volume) -> Floats:
+    """Return (n, 3) centres of blocks in P, in m."""
+    margin = _PITCH * (_KERNEL // 2)
+    low, high = volume.origin + margin, volume.upper - margin
+    lines = [np.arange(a, b, _APART) for a, b in zip(low, high, strict=True)]
+    return np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+def _is_seen(volume: Volume, p_W: Floats, axes: Floats, half: int) -> NDArray[np.bool_]:
+    """Return (m,) flags of the positions in W around which the corners of a block are seen."""
+    corners = np.stack(np.meshgrid(*3 * [[-1, 1]], indexing="ij"), axis=-1).reshape(-1, 3)
+    points = p_W[:, np.newaxis] + _PITCH * half * corners @ axes.T
+    seen = volume.sees(acquired_from(volume, points.reshape(-1, 3)))
+    return np.asarray(seen.reshape(-1, len(corners)).all(axis=1))
+
+
+def _block(volume: Volume, p_W: Floats, axes: Floats, half: int) -> NDArray[np.float32]:
+    """Return the levels on a lattice around a point in W."""
+    steps = _PITCH * np.arange(-half, half + 1)
+    lattice = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1)
+    ends = acquired_from(volume, p_W + np.array([[0.0, 0.0, 0.0], *axes.T]))
+    # Within a block, the motion of the probe during the sweep is an affine map.
+    return volume.sample(ends[0] + lattice @ (ends[1:] - ends[0]))
+
 
 # Typical error of a block's displacement in m, and the error from which a block counts less: it
 # holds the needle, or what it moves.
@@ -57,15 +125,11 @@ class PoseErrors(Immutable):
     """
 
     delay: float
-    translation: Floats
-    rotation: Floats
-    covariance: Floats
+    translation: Vector3
+    rotation: Vector3
+    covariance: Annotated[Floats, Shape(7, 7)]
     pairs: int
     blocks: int
-
-    def __post_init__(self) -> None:
-        for name, shape in (("translation", (3,)), ("rotation", (3,)), ("covariance", (7, 7))):
-            object.__setattr__(self, name, read_only(getattr(self, name), name, shape))
 
     @property
     def std(self) -> Floats:
@@ -98,15 +162,8 @@ class PoseErrors(Immutable):
 class PoseEquations(Immutable):
     """(3 m, 7) coefficients and (3 m,) apparent displacements in m of one pair of volumes."""
 
-    matrix: Floats
-    displacement: Floats
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "matrix", read_only(self.matrix, "matrix", (None, 7)))
-        shape = (len(self.matrix),)
-        object.__setattr__(
-            self, "displacement", read_only(self.displacement, "displacement", shape)
-        )
+    matrix: Annotated[Floats, Shape("m", 7)]
+    displacement: Annotated[Floats, Shape("m")]
 
 
 def probe_velocities(motion: SweepMotion, times: Floats) -> tuple[Floats, Floats]:
@@ -190,3 +247,47 @@ def estimate_pose_errors(equations: Sequence[PoseEquations]) -> PoseErrors | Not
     scaled = _PRIOR[:, np.newaxis] * covariance * _PRIOR
     delay, *rest = (_PRIOR * x).tolist()
     return PoseErrors(delay, rest[:3], rest[3:], scaled, len(used), len(d) // 3)
+
+
+_VOLUMES, _PAIRS = 12, 60  # Largest numbers of earlier volumes and of pairs that are kept
+# Motion between two volumes in m and rad that tells most. After more of it, the speckle is
+# another one; after less, the errors hardly show.
+_TRANSLATION, _ROTATION = 3e-3, math.radians(4.0)
+# Smallest and largest motion between two volumes that are compared, relative to those.
+_LEAST, _MOST = 0.1, 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class PoseCalibration(Immutable):
+    """What the newest volumes, and the equations of pairs, say about the errors of their poses."""
+
+    volumes: tuple[Volume, ...] = ()
+    equations: tuple[PoseEquations, ...] = ()
+
+    @cached_property
+    def errors(self) -> PoseErrors | NotFound:
+        """Errors of the poses, or a `NotFound` with the reason why they are unknown."""
+        if not self.equations:
+            return NotFound("no two volumes show the same tissue from different poses")
+        return estimate_pose_errors(self.equations)
+
+    def seen(self, volume: Volume) -> "PoseCalibration":
+        """Return the calibration after one more volume, compared with the one that tells most."""
+        kept = (*self.volumes, volume)[-_VOLUMES:]
+        apart = [(_motion(earlier, volume), earlier) for earlier in self.volumes]
+        near = [(abs(math.log(m)), each) for m, each in apart if _LEAST <= m <= _MOST]
+        if not near:
+            return replace(self, volumes=kept)
+        earlier = min(near, key=lambda each: each[0])[1]
+        seen = displacement_between(earlier, volume)
+        if not len(seen.p_W):
+            return replace(self, volumes=kept)
+        equations = (*self.equations, pose_equations(earlier, volume, seen))[-_PAIRS:]
+        return PoseCalibration(kept, equations)
+
+
+def _motion(first: Volume, second: Volume) -> float:
+    """Return the motion of the probe between two volumes, relative to that which tells most."""
+    X = first.X_WP.InvertAndCompose(second.X_WP)
+    moved = math.hypot(*X.translation()) / _TRANSLATION
+    return math.hypot(moved, X.rotation().ToAngleAxis().angle() / _ROTATION)

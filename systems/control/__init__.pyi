@@ -1,4 +1,6 @@
 from .controller_schedule import ControllerSettings as ControllerSettings
+from .controller_schedule import OperatorSettings as OperatorSettings
+from .controller_schedule import ScheduledSettings as ScheduledSettings
 from .differential_kinematics import DifferentialKinematics as DifferentialKinematics
 from .differential_kinematics import (
     DifferentialKinematicsParameters as DifferentialKinematicsParameters,
@@ -8,8 +10,6 @@ from .force_law import ForceControllerParameters as ForceControllerParameters
 from .guard import Guard as Guard
 from .guard_parameters import GuardParameters as GuardParameters
 from .guard_parameters import WristSensorLimits as WristSensorLimits
-from .operator_settings import OperatorSettings as OperatorSettings
-from .scheduled_settings import ScheduledSettings as ScheduledSettings
 from .visual_features import interaction_matrix as interaction_matrix
 from .visual_features import needle_features as needle_features
 from .visual_features import servo_velocity as servo_velocity

@@ -1,7 +1,11 @@
-"""Schedule of controller settings, each of which holds until the next change."""
+"""Schedule of controller settings, and the leaves that play it or record an operator's changes."""
 
 from bisect import bisect_right
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
+
+from pydrake.common.value import Value
+from pydrake.systems.framework import BasicVector, Context, LeafSystem, State
 
 from sonoservo.systems.signals.immutable import Immutable
 from sonoservo.systems.signals.requirements import Bounded, NotNegative, Positive, Time
@@ -42,13 +46,9 @@ class ControllerSchedule(Immutable):
         self._times = [change.time for change in changes]
         self._settings = [start]
         for change in changes:
-            last = self._settings[-1]
-            self._settings.append(
-                ControllerSettings(
-                    last.gain if change.gain is None else change.gain,
-                    last.force if change.force is None else change.force,
-                )
-            )
+            new = {"gain": change.gain, "force": change.force}
+            changed = {name: value for name, value in new.items() if value is not None}
+            self._settings.append(replace(self._settings[-1], **changed))
 
     def at(self, time: float) -> ControllerSettings:
         """Return the settings that hold at a time in s; a change holds from its own time on."""
@@ -59,3 +59,88 @@ class ControllerSchedule(Immutable):
         number = bisect_right(self._times, change.time)
         before, after = self.changes[:number], self.changes[number:]
         return ControllerSchedule(self.start, (*before, change, *after))
+
+
+class ScheduledSettings(LeafSystem):
+    """Outputs the controller settings that a schedule holds for the present time.
+
+    .. pydrake_system::
+
+        name: ScheduledSettings
+        output_ports:
+        - gain
+        - force_target
+
+    `gain` is lambda in 1/s, and `force_target` is in N.
+
+    Parameters
+    ----------
+    schedule
+        Settings as a function of time.
+    """
+
+    def __init__(self, *, schedule: ControllerSchedule) -> None:
+        super().__init__()
+        self._schedule = schedule
+        for name, calc in (("gain", self._calc_gain), ("force_target", self._calc_force_target)):
+            read = {self.xa_ticket(), self.time_ticket()}
+            self.DeclareVectorOutputPort(name, 1, calc, prerequisites_of_calc=read)
+
+    def schedule(self, context: Context) -> ControllerSchedule:
+        """Return the schedule that holds."""
+        return self._schedule
+
+    def _calc_gain(self, context: Context, output: BasicVector) -> None:
+        output.SetAtIndex(0, self.schedule(context).at(context.get_time()).gain)
+
+    def _calc_force_target(self, context: Context, output: BasicVector) -> None:
+        output.SetAtIndex(0, self.schedule(context).at(context.get_time()).force)
+
+
+class OperatorSettings(ScheduledSettings):
+    """Outputs the controller settings that an operator asks for, from the next sample onwards.
+
+    .. pydrake_system::
+
+        name: OperatorSettings
+        input_ports:
+        - controller_target
+        output_ports:
+        - gain
+        - force_target
+
+    `controller_target` is the wanted lambda in 1/s and the wanted force in N. The state is the
+    schedule with all changes so far, and the last target. A setting that the operator moves holds
+    until the next planned change. A `ScheduledSettings` system replays the schedule.
+
+    Parameters
+    ----------
+    schedule
+        Initial settings and planned changes. The operator's target has to begin with the former.
+    period
+        Sampling period, in s.
+    """
+
+    def __init__(self, *, schedule: ControllerSchedule, period: float = 1 / 16) -> None:
+        super().__init__(schedule=schedule)
+        self.DeclareVectorInputPort("controller_target", 2)
+        self.DeclareAbstractState(Value[object](schedule))
+        start = schedule.start
+        self.DeclareAbstractState(Value[object]({"gain": start.gain, "force": start.force}))
+        self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._update)
+
+    def schedule(self, context: Context) -> ControllerSchedule:
+        """Return the schedule of all changes so far."""
+        schedule: ControllerSchedule = context.get_abstract_state(0).get_value()
+        return schedule
+
+    def _update(self, context: Context, state: State) -> None:
+        target = self.GetInputPort("controller_target").Eval(context).tolist()
+        wanted = dict(zip(("gain", "force"), target, strict=True))
+        before: dict[str, float] = context.get_abstract_state(1).get_value()
+        moved: dict[str, Any] = {n: each for n, each in wanted.items() if each != before[n]}
+        if moved:
+            change = ControllerChange(time=context.get_time(), **moved)
+            schedule = self.schedule(context).with_change(change)
+            state.get_mutable_abstract_state(0).set_value(schedule)
+            state.get_mutable_abstract_state(1).set_value(wanted)

@@ -31,6 +31,8 @@ from sonoservo.systems.signals.requirements import (
     require_positive,
 )
 
+Floats = NDArray[np.float64]
+
 
 @dataclass(kw_only=True)
 class DifferentialKinematicsParameters:
@@ -63,7 +65,7 @@ _MAX_TILT_SPEED = math.radians(20.0)
 
 def probe_twist(
     planar_velocity: ArrayLike, approach_velocity: float, tilt: Sequence[float]
-) -> NDArray[np.float64]:
+) -> Floats:
     """Return the (6,) spatial velocity of P, in P: rotation first, in rad/s and m/s.
 
     `tilt` keeps the axis aligned; its component about Y is ignored.
@@ -123,8 +125,7 @@ class DifferentialKinematics(LeafSystem):
     ):
         require_positive(time_step=time_step)
         super().__init__()
-        self._plant = plant
-        self._probe = probe
+        self._plant, self._probe = plant, probe
         self._axis = np.array(parameters.axis) / np.linalg.norm(parameters.axis)
         self._axis_gain = parameters.axis_gain
         self._time_step = time_step
@@ -149,12 +150,8 @@ class DifferentialKinematics(LeafSystem):
         self._scratch = declare_memory(self, plant.CreateDefaultContext)
         # Joint positions and velocities, and the time at which they hold.
         self.DeclareDiscreteState(2 * n + 1)
-        self.DeclareVectorOutputPort(
-            "joint_command",
-            2 * n,
-            self._calc_joint_command,
-            prerequisites_of_calc={self.xd_ticket(), self.time_ticket()},
-        )
+        read = {self.xd_ticket(), self.time_ticket()}
+        self.DeclareVectorOutputPort("joint_command", 2 * n, self._calc_joint_command, read)
         self.DeclareInitializationDiscreteUpdateEvent(self._initialize)
         self.DeclarePeriodicDiscreteUpdateEvent(time_step, 0, self._update_joint_command)
 
@@ -163,7 +160,7 @@ class DifferentialKinematics(LeafSystem):
         discrete_state.set_value(np.concatenate([q, np.zeros_like(q), [context.get_time()]]))
         return EventStatus.Succeeded()
 
-    def _joint_command(self, context: Context) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _joint_command(self, context: Context) -> tuple[Floats, Floats]:
         state = context.get_discrete_state_vector().value()
         n = len(state) // 2
         q, v = state[:n], state[n : 2 * n]
@@ -198,11 +195,7 @@ class DifferentialKinematics(LeafSystem):
         discrete_state.set_value(0, np.concatenate([q, v_next, [context.get_time()]]))
 
     def _joint_velocities(
-        self,
-        q: NDArray[np.float64],
-        v: NDArray[np.float64],
-        V_WP_P: NDArray[np.float64],
-        J: NDArray[np.float64],
+        self, q: Floats, v: Floats, V_WP_P: Floats, J: Floats
     ) -> NDArray[np.floating]:
         """Return velocities that solve J v = V, or come as close to V as the limits allow."""
         if not math.isfinite(sum(V_WP_P.tolist())):
@@ -216,9 +209,7 @@ class DifferentialKinematics(LeafSystem):
         result = DoDifferentialInverseKinematics(q, v, V_WP_P, J, self._limits)
         return np.zeros_like(q) if result.joint_velocities is None else result.joint_velocities
 
-    def _unlimited_velocities(
-        self, q: NDArray[np.float64], V_WP_P: NDArray[np.float64], J: NDArray[np.float64]
-    ) -> NDArray[np.floating]:
+    def _unlimited_velocities(self, q: Floats, V_WP_P: Floats, J: Floats) -> NDArray[np.floating]:
         """Return velocities that solve J v = V, or NaN where there are none."""
         if len(q) == 6:
             _, _, v, singular = dgesv(J, V_WP_P)

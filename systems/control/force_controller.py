@@ -65,22 +65,18 @@ class ForceController(LeafSystem):
         require_positive(mass=mass, time_step=time_step)
         super().__init__()
         self._parameters, self._max_force = parameters, max_force
-        self._mass = mass
-        self._time_step = time_step
+        self._mass, self._time_step = mass, time_step
         self._wrist_force = self.DeclareAbstractInputPort("wrist_force", Value(SpatialForce()))
         self._X_WP = self.DeclareAbstractInputPort("X_WP", Value(RigidTransform()))
         self._target = self.DeclareVectorInputPort("force_target", 1)
         self._scale = self.DeclareVectorInputPort("approach_scale", 1)
         self._held = self.DeclareVectorInputPort("held", 1)
         self.DeclareDiscreteState(3)
-        settings = {self._target.ticket(), self._scale.ticket()}
-        for name, calc, needs in (
-            ("approach_velocity", self._calc_approach_velocity, settings),
-            ("pressing_force", self._calc_pressing_force, set()),
-        ):
-            self.DeclareVectorOutputPort(
-                name, 1, calc, prerequisites_of_calc={self.xd_ticket(), *needs}
-            )
+        state, settings = self.xd_ticket(), {self._target.ticket(), self._scale.ticket()}
+        self.DeclareVectorOutputPort(
+            "approach_velocity", 1, self._calc_approach_velocity, {state, *settings}
+        )
+        self.DeclareVectorOutputPort("pressing_force", 1, self._calc_pressing_force, {state})
         self.DeclarePeriodicDiscreteUpdateEvent(time_step, 0, self._update_state)
 
     def _state(self, context: Context) -> ForceState:

@@ -37,6 +37,8 @@ from sonoservo.systems.signals.leaves import declare_memory
 from sonoservo.systems.signals.ports import declare_output
 from sonoservo.systems.signals.requirements import require_positive
 
+Floats = NDArray[np.float64]
+
 _TOLERANCE = 1e-9  # Rounding error of joint positions and speeds, in rad and rad/s
 # Difference of postures in rad between which the levers of the torques differ by less than 2 %.
 _SAME_POSTURE = 0.02
@@ -146,11 +148,9 @@ class Guard(LeafSystem):
         # torques, and the correlation.
         self._lags = lags(time_step)
         self._latency = self.DeclareDiscreteState(3 + 5 * self._lags)
+        read = {self._wanted.ticket(), self.xd_ticket(), self.time_ticket()}
         self._sent = self.DeclareVectorOutputPort(
-            "joint_command",
-            2 * n,
-            self._calc_joint_command,
-            prerequisites_of_calc={self._wanted.ticket(), self.xd_ticket(), self.time_ticket()},
+            "joint_command", 2 * n, self._calc_joint_command, read
         )
         declare_output(self, "guard", GuardStatus, self._calc_guard, {self.xd_ticket()})
         self.DeclareStateOutputPort("approach_scale", self._approach_scale)
@@ -198,7 +198,7 @@ class Guard(LeafSystem):
         )
         output.set_value(status)
 
-    def _accepts(self, wanted: NDArray[np.float64], sent: NDArray[np.float64]) -> bool:
+    def _accepts(self, wanted: Floats, sent: Floats) -> bool:
         """Return True if a command keeps the joints' limits and continues the one sent last."""
         return bool(keeps_limits(wanted, sent, self._joint_limits))
 
@@ -227,7 +227,7 @@ class Guard(LeafSystem):
             discrete_state.set_value(self._approach_scale, [memory.approach_scale])
         return EventStatus.Succeeded()
 
-    def _look(self, context: Context, memory: GuardMemory, sent: NDArray[np.float64]) -> Sight:
+    def _look(self, context: Context, memory: GuardMemory, sent: Floats) -> Sight:
         """Return what the guard sees."""
         n, wanted = self._joints, self._wanted.Eval(context)
         allowed, limits = self._regions[self._alone(context)], self._limits.wrist_sensor
@@ -262,9 +262,7 @@ class Guard(LeafSystem):
             arm_error=error, torque=total, latency=latency, confirmed=confirmed,
         )  # fmt: skip
 
-    def _levers_at(
-        self, context: Context, q: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], float]:
+    def _levers_at(self, context: Context, q: Floats) -> tuple[Floats, float]:
         """Return what turns torques into the pressing force, in 1/m, and that force's error in N.
 
         They are those of a posture near ``q``, and kept as long as that one is the nearest.
@@ -278,7 +276,7 @@ class Guard(LeafSystem):
             self._posture = posture
         return self._levers
 
-    def _jacobian(self, context: Context, q: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _jacobian(self, context: Context, q: Floats) -> Floats:
         plant, frame, scratch = self._plant, self._frame, self._scratch(context)
         plant.SetPositions(scratch, q)
         J = plant.CalcJacobianSpatialVelocity(
@@ -288,7 +286,7 @@ class Guard(LeafSystem):
 
     def _measured_latency(
         self, context: Context, before: GuardMemory, after: GuardMemory, seen: Sight
-    ) -> NDArray[np.float64]:
+    ) -> Floats:
         """Return the state of the measurement of the latency after a step."""
         state = context.get_discrete_state(self._latency).value()
         (latency, expected_before, confirmation), rest = state[:3], state[3:].reshape(5, -1)
@@ -306,16 +304,14 @@ class Guard(LeafSystem):
         arms = np.concatenate([[seen.arm or 0.0], rest[0, :-1]])
         return np.concatenate([[latency, expected, confirmation], arms, correlation.ravel()])
 
-    def _pose(self, context: Context, q: NDArray[np.float64]) -> tuple[Vector, Vector, Vector]:
+    def _pose(self, context: Context, q: Floats) -> tuple[Vector, Vector, Vector]:
         """Return the position and the axis of the probe in W, and the direction down in P."""
         plant_context = self._scratch(context)
         self._plant.SetPositions(plant_context, q)
         x, y, z = self._frame.CalcPoseInWorld(plant_context).GetAsMatrix34().tolist()
         return (x[3], y[3], z[3]), (x[1], y[1], z[1]), (-z[0], -z[1], -z[2])
 
-    def _retreat(
-        self, context: Context, q: NDArray[np.float64], speed: float
-    ) -> NDArray[np.float64]:
+    def _retreat(self, context: Context, q: Floats, speed: float) -> Floats:
         """Return joint velocities that move P backwards along its axis, or zeros."""
         backwards = np.array([0.0, 0.0, 0.0, 0.0, -speed, 0.0])
         v = np.linalg.pinv(self._jacobian(context, q), rcond=1e-2) @ backwards
@@ -325,7 +321,7 @@ class Guard(LeafSystem):
         possible = (reached >= lowest) & (reached <= highest)
         return np.asarray(v if possible.all() else np.zeros_like(v))
 
-    def _slowed(self, memory: GuardMemory, v: NDArray[np.float64]) -> float:
+    def _slowed(self, memory: GuardMemory, v: Floats) -> float:
         """Return the factor by which the joints slow down in a step."""
         speed = max(float(np.linalg.norm(memory.velocity)), 0.1 * float(np.abs(v).max()), 1e-9)
         factor = 1 - self._limits.retreat_acceleration * self._time_step / speed

@@ -7,6 +7,7 @@ from typing import Annotated
 import numpy as np
 
 from sonoservo.systems.signals.requirements import (
+    Bound,
     Bounded,
     NotNegative,
     Positive,
@@ -29,6 +30,15 @@ with 12.5 N on a 4DC7 that is 10 mm deep."""
 REACTION = 0.03
 """Time in s from the force that is too much to the arm's motion: three steps of 10 ms, for the
 sample, for the next one that confirms it, and for the command."""
+
+
+def _coordinates(*counts: int) -> Bound:
+    """Return the bound of a point, which may be empty if one of the counts is 0."""
+    empty = ", or empty" if 0 in counts else ""
+    return Bound(
+        f"three coordinates in m{empty}",
+        lambda value: len(value) in counts and bool(np.isfinite(value).all()),
+    )
 
 
 @dataclass(kw_only=True)
@@ -108,21 +118,22 @@ class GuardParameters:
     wrist_sensor
         Limits of plausible samples.
 
-    Raises
-    ------
-    ValueError
-        If a body that rises at 10 cm/s would press with more than 15 N for more than 50 ms, or a
-        parameter is out of its range.
+    A ValueError refuses limits with which a body that rises at 10 cm/s would press with more than
+    15 N for more than 50 ms.
     """
 
     enabled: bool = True
     max_force: Annotated[float, within(1.0, PEAK)] = 10.0
     disagreement: Annotated[float, within(1.0, 4.0)] = 3.0
-    surface: list[float] = field(default_factory=list)
+    surface: Annotated[list[float], _coordinates(0, 3)] = field(default_factory=list)
     max_depth: Annotated[float, within(0.001, 0.03)] = 0.02
     max_rise: Annotated[float, within(0.001, 0.1)] = 0.06
-    workspace_min: list[float] = field(default_factory=lambda: [-0.25, -0.25, -0.1])
-    workspace_max: list[float] = field(default_factory=lambda: [0.25, 0.25, 0.12])
+    workspace_min: Annotated[list[float], _coordinates(3)] = field(
+        default_factory=lambda: [-0.25, -0.25, -0.1]
+    )
+    workspace_max: Annotated[list[float], _coordinates(3)] = field(
+        default_factory=lambda: [0.25, 0.25, 0.12]
+    )
     max_tilt_deg: Annotated[float, within(1.0, 60.0)] = 30.0
     max_speed: Annotated[float, within(0.01, 0.3)] = 0.15
     max_acceleration: Annotated[float, within(0.1, 20.0)] = 10.0
@@ -138,31 +149,18 @@ class GuardParameters:
 
     def __post_init__(self) -> None:
         check_bounds(self)
-        finite = bool(np.isfinite(self.surface).all())
-        require(
-            len(self.surface) in (0, 3) and finite,
-            "surface",
-            self.surface,
-            "three coordinates in m, or empty",
-        )
-        for name in ("workspace_min", "workspace_max"):
-            corner = getattr(self, name)
-            good = len(corner) == 3 and bool(np.isfinite(corner).all())
-            require(good, name, corner, "three coordinates in m")
         below = bool(np.less(self.workspace_min, self.workspace_max).all())
         require(below, "workspace_min", self.workspace_min, "below workspace_max along each axis")
         least = self.max_rise + self.clearance
         require_within("max_retreat", self.max_retreat, least, 0.3)
         time = time_above(self.max_force, self.retreat_speed, self.retreat_acceleration)
-        require(
-            time <= LONGEST,
-            "max_force",
-            self.max_force,
+        allowed = (
             f"less, or the retreat faster than {self.retreat_speed:g} m/s at "
             f"{self.retreat_acceleration:g} m/s^2: a body that rises at {BODY_SPEED:g} m/s would "
             f"press with more than {PEAK:g} N for {1e3 * time:.0f} ms, more than "
-            f"{1e3 * LONGEST:g} ms",
+            f"{1e3 * LONGEST:g} ms"
         )
+        require(time <= LONGEST, "max_force", self.max_force, allowed)
 
 
 def time_above(max_force: float, speed: float, acceleration: float) -> float:
@@ -178,11 +176,9 @@ def time_above(max_force: float, speed: float, acceleration: float) -> float:
         return 0.0
     if speed <= BODY_SPEED:
         return math.inf
-    began = (
-        -(late - left) / BODY_SPEED
-        if late >= left
-        else (BODY_SPEED - math.sqrt(reach)) / acceleration
-    )
+    began = -(late - left) / BODY_SPEED
+    if late < left:
+        began = (BODY_SPEED - math.sqrt(reach)) / acceleration
     ended, fastest = (BODY_SPEED + math.sqrt(reach)) / acceleration, speed / acceleration
     if ended > fastest:
         deep = late - left + BODY_SPEED * fastest - acceleration * fastest**2 / 2

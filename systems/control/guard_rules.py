@@ -1,8 +1,4 @@
-"""The guard's table of causes, conditions, times and reactions, and its one debounce.
-
-A condition is a function of what is seen, of what is remembered with it, of the parameters and of
-the region. It returns True or False; a likelihood returns a number from -`_FORGET` to 1 instead.
-"""
+"""The guard's table of causes, conditions, times and reactions, and its one debounce."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -20,11 +16,8 @@ from sonoservo.systems.control.guard_sight import (
     along,
 )
 
-WINDOW = 0.02
-"""Time in s over which accelerations are averaged."""
-
-MAX_DOUBTS = 3
-"""Number of times that an instrument is found wrong after which a person must confirm."""
+WINDOW = 0.02  # time in s over which accelerations are averaged
+MAX_DOUBTS = 3  # times that an instrument is found wrong after which a person must confirm
 
 # Time in s for which the force must be too much: the probe's inertia pushes for less.
 _PULSE = 0.015
@@ -39,34 +32,6 @@ _NATS = 40.0
 # that is wrong in every other sample is found.
 _FORGET = 1 / 3
 _ZERO_ERROR = 0.5  # Error in N of the wrist's force where there is no arm to compare it with
-_TEMPLATES = {
-    "wrist_not_finite": "the wrist sensor's samples are not numbers",
-    "wrist_out_of_range": "the wrist sensor is saturated or out of its range of "
-    "{g.wrist_sensor.max_force:g} N and {g.wrist_sensor.max_torque:g} N m",
-    "wrist_frozen": "the wrist sensor is frozen",
-    "arm_not_finite": "the external torques of the arm are not numbers",
-    "arm_frozen": "the external torques of the arm are frozen",
-    "disagree": "the wrist sensor reads {wrist:.1f} N, but {other}",
-    "late": "the wrist sensor's samples lag behind the arm's motion by more than "
-    "{g.wrist_sensor.max_latency:g} s",
-    "pose_not_finite": "the measured pose of the probe is not a number",
-    "pose_error": "the probe is more than {error:g} mm from where it was commanded to be",
-    "pose_frozen": "the measured pose of the probe is frozen",
-    "command": "the controller's command breaks a limit of the joints' positions, speeds or "
-    "accelerations, or is not a number",
-    "speed": "the probe was commanded to move faster than {g.max_speed:g} m/s",
-    "acceleration": "the probe was commanded to accelerate at more than "
-    "{g.max_acceleration:g} m/s^2",
-    "force": "the contact force of {most:.1f} N exceeded {g.max_force:g} N",
-    "force_rises": "the force on the probe rose by more than {half:g} N while it was held",
-    "depth": "the probe would go deeper than {depth:g} mm below the configured surface, or below "
-    "the place where contact began; does the wrist sensor feel the body?",
-    "workspace": "the probe would leave the configured workspace",
-    "tilt": "the probe would tilt by more than {g.max_tilt_deg:g} deg",
-    "sample_repeats": "samples of the wrist sensor that repeated the one before",
-    "pose_repeats": "measured poses that repeated the one before",
-    "force_steps": f"steps of the force by more than {_NOTED_STEP:g} N between samples",
-}
 
 
 class Reaction(IntEnum):
@@ -78,30 +43,10 @@ class Reaction(IntEnum):
     PROVE = 3  # the same, and the witnesses must agree before the next landing and during it
 
 
-def _wrist_not_finite(s: Sight, m: GuardMemory, g: GuardParameters, r: Region) -> bool:
-    return not math.isfinite(sum(s.sample))
-
-
-def _wrist_out_of_range(s: Sight, m: GuardMemory, g: GuardParameters, r: Region) -> bool:
-    return not s.plausible and math.isfinite(sum(s.sample))
-
-
-def _wrist_frozen(s: Sight, m: GuardMemory, g: GuardParameters, r: Region) -> bool:
-    return s.time - m.sample_changed > g.wrist_sensor.frozen_after > 0
-
-
-def _arm_not_finite(s: Sight, m: GuardMemory, g: GuardParameters, r: Region) -> bool:
-    return s.arm is not None and not math.isfinite(s.arm)
-
-
-def _arm_frozen(s: Sight, m: GuardMemory, g: GuardParameters, r: Region) -> bool:
-    return s.arm is not None and s.time - m.torque_changed > g.wrist_sensor.frozen_after > 0
-
-
 def _disagree(s: Sight, m: GuardMemory, g: GuardParameters, r: Region) -> float:
     # Evidence that two witnesses differ by the least that matters, as a share of what convicts: a
     # cumulative sum (Page 1954) of the logarithm of the likelihood ratio of that difference and
-    # none. The probe's inertia is felt by the wrist alone.
+    # none.
     if m.mode == Mode.RETREATING or not s.plausible:
         return -_FORGET
     arm, error = s.arm_then, s.arm_error
@@ -110,22 +55,10 @@ def _disagree(s: Sight, m: GuardMemory, g: GuardParameters, r: Region) -> float:
         arm, error = 0.0 if free else max(s.wrist, 0.0), _ZERO_ERROR
     elif not math.isfinite(arm):
         return -_FORGET
-    difference = abs(s.wrist - arm) - m.inertia
+    difference = abs(s.wrist - arm) - m.inertia  # the inertia is felt by the wrist alone
     nats = g.disagreement * (difference - g.disagreement / 2) / error**2
     share = nats / _NATS * g.wrist_sensor.confirmed_after / s.step
     return min(max(share, -_FORGET), 1.0)
-
-
-def _late(s: Sight, m: GuardMemory, g: GuardParameters, r: Region) -> bool:
-    return s.latency > g.wrist_sensor.max_latency
-
-
-def _pose_not_finite(s: Sight, m: GuardMemory, g: GuardParameters, r: Region) -> bool:
-    return not math.isfinite(sum(s.p_measured))
-
-
-def _pose_error(s: Sight, m: GuardMemory, g: GuardParameters, r: Region) -> bool:
-    return math.dist(s.p_measured, s.p) > g.max_pose_error
 
 
 def _pose_frozen(s: Sight, m: GuardMemory, g: GuardParameters, r: Region) -> bool:
@@ -133,24 +66,16 @@ def _pose_frozen(s: Sight, m: GuardMemory, g: GuardParameters, r: Region) -> boo
     return frozen and math.dist(s.p, m.p_then) > _AT_REST
 
 
-def _command(s: Sight, m: GuardMemory, g: GuardParameters, r: Region) -> bool:
-    return not s.accepted
-
-
-def _speed(s: Sight, m: GuardMemory, g: GuardParameters, r: Region) -> bool:
-    return _wanted_speed(s, m) > g.max_speed
+def _wanted_speed(s: Sight, m: GuardMemory) -> float:
+    if m.mode == Mode.MONITORING:
+        return math.hypot(*m.velocity)
+    return math.dist(s.p, s.p_ahead) / AHEAD if s.p_ahead else 0.0
 
 
 def _acceleration(s: Sight, m: GuardMemory, g: GuardParameters, r: Region) -> bool:
     if m.mode == Mode.HOLDING:
         return _wanted_speed(s, m) / max(s.step, WINDOW) > g.max_acceleration
     return m.mode == Mode.MONITORING and m.acceleration > g.max_acceleration
-
-
-def _wanted_speed(s: Sight, m: GuardMemory) -> float:
-    if m.mode == Mode.MONITORING:
-        return math.hypot(*m.velocity)
-    return math.dist(s.p, s.p_ahead) / AHEAD if s.p_ahead else 0.0
 
 
 def _force(s: Sight, m: GuardMemory, g: GuardParameters, r: Region) -> bool:
@@ -173,18 +98,6 @@ def _arm_at_least(s: Sight) -> float:
     return -math.inf if s.arm is None else s.arm - 2 * s.arm_error
 
 
-def _depth(s: Sight, m: GuardMemory, g: GuardParameters, r: Region) -> bool:
-    return _leaves(s, m, r, 0)
-
-
-def _workspace(s: Sight, m: GuardMemory, g: GuardParameters, r: Region) -> bool:
-    return _leaves(s, m, r, 1)
-
-
-def _tilt(s: Sight, m: GuardMemory, g: GuardParameters, r: Region) -> bool:
-    return _leaves(s, m, r, 2)
-
-
 def _leaves(s: Sight, m: GuardMemory, r: Region, way: int) -> bool:
     # The way back is free, so the controller can correct what it is blamed for.
     if s.p_ahead is None or s.axis_ahead is None:
@@ -202,57 +115,79 @@ def beyond(p: Vector, axis: Vector, m: GuardMemory, r: Region) -> tuple[float, f
     return deep, beside, r.min_cosine - along(axis, r.axis)
 
 
-def _sample_repeats(s: Sight, m: GuardMemory, g: GuardParameters, r: Region) -> bool:
-    return m.sample_changed < s.time and g.wrist_sensor.frozen_after > 0
-
-
-def _pose_repeats(s: Sight, m: GuardMemory, g: GuardParameters, r: Region) -> bool:
-    return m.pose_changed < s.time and g.pose_frozen_after > 0
-
-
-def _force_steps(s: Sight, m: GuardMemory, g: GuardParameters, r: Region) -> bool:
-    return s.plausible and abs(m.rate) * s.step - m.inertia > _NOTED_STEP
-
-
 class Rule(NamedTuple):
-    """A condition, the time in s for which it must hold, and what the guard then does."""
+    """A cause: when it holds, for how many s it must, what the guard then does, and what it says.
 
+    The condition is a function of what is seen, of what is remembered with it, of the parameters
+    and of the region. It returns True or False; a likelihood returns a number from -1/3 to 1
+    instead. Without a time of its own, it must hold for `wrist_sensor.confirmed_after`.
+    """
+
+    name: str
     holds: Callable[[Sight, GuardMemory, GuardParameters, Region], float]
     time: float | None
     reaction: Reaction
-
-    @property
-    def name(self) -> str:
-        """Name of the cause."""
-        return self.holds.__name__.removeprefix("_")
+    text: str
 
 
-_CONFIRMED = None  # the time is `wrist_sensor.confirmed_after`
-
+# fmt: off
 RULES = (
-    Rule(_force_rises, _PULSE, Reaction.AWAY),
-    Rule(_wrist_not_finite, _CONFIRMED, Reaction.PROVE),
-    Rule(_wrist_out_of_range, _CONFIRMED, Reaction.PROVE),
-    Rule(_wrist_frozen, 0.0, Reaction.PROVE),
-    Rule(_arm_not_finite, _CONFIRMED, Reaction.PROVE),
-    Rule(_arm_frozen, 0.0, Reaction.PROVE),
-    Rule(_disagree, _CONFIRMED, Reaction.PROVE),
-    Rule(_late, 0.0, Reaction.PROVE),
-    Rule(_force, _PULSE, Reaction.AWAY),
-    Rule(_depth, 0.0, Reaction.AWAY),
-    Rule(_pose_not_finite, 0.0, Reaction.STOP),
-    Rule(_pose_error, 0.0, Reaction.STOP),
-    Rule(_pose_frozen, 0.0, Reaction.STOP),
-    Rule(_command, 0.0, Reaction.STOP),
-    Rule(_speed, 0.0, Reaction.STOP),
-    Rule(_acceleration, 0.0, Reaction.STOP),
-    Rule(_workspace, 0.0, Reaction.STOP),
-    Rule(_tilt, 0.0, Reaction.STOP),
-    Rule(_sample_repeats, math.inf, Reaction.NOTE),
-    Rule(_pose_repeats, math.inf, Reaction.NOTE),
-    Rule(_force_steps, math.inf, Reaction.NOTE),
+    Rule("force_rises", _force_rises, _PULSE, Reaction.AWAY,
+         "the force on the probe rose by more than {half:g} N while it was held"),
+    Rule("wrist_not_finite", lambda s, m, g, r: not math.isfinite(sum(s.sample)),
+         None, Reaction.PROVE, "the wrist sensor's samples are not numbers"),
+    Rule("wrist_out_of_range",
+         lambda s, m, g, r: not s.plausible and math.isfinite(sum(s.sample)),
+         None, Reaction.PROVE, "the wrist sensor is saturated or out of its range of "
+         "{g.wrist_sensor.max_force:g} N and {g.wrist_sensor.max_torque:g} N m"),
+    Rule("wrist_frozen",
+         lambda s, m, g, r: s.time - m.sample_changed > g.wrist_sensor.frozen_after > 0,
+         0.0, Reaction.PROVE, "the wrist sensor is frozen"),
+    Rule("arm_not_finite", lambda s, m, g, r: s.arm is not None and not math.isfinite(s.arm),
+         None, Reaction.PROVE, "the external torques of the arm are not numbers"),
+    Rule("arm_frozen", lambda s, m, g, r: (
+             s.arm is not None and s.time - m.torque_changed > g.wrist_sensor.frozen_after > 0),
+         0.0, Reaction.PROVE, "the external torques of the arm are frozen"),
+    Rule("disagree", _disagree, None, Reaction.PROVE,
+         "the wrist sensor reads {wrist:.1f} N, but {other}"),
+    Rule("late", lambda s, m, g, r: s.latency > g.wrist_sensor.max_latency, 0.0, Reaction.PROVE,
+         "the wrist sensor's samples lag behind the arm's motion by more than "
+         "{g.wrist_sensor.max_latency:g} s"),
+    Rule("force", _force, _PULSE, Reaction.AWAY,
+         "the contact force of {most:.1f} N exceeded {g.max_force:g} N"),
+    Rule("depth", lambda s, m, g, r: _leaves(s, m, r, 0), 0.0, Reaction.AWAY,
+         "the probe would go deeper than {depth:g} mm below the configured surface, or below "
+         "the place where contact began; does the wrist sensor feel the body?"),
+    Rule("pose_not_finite", lambda s, m, g, r: not math.isfinite(sum(s.p_measured)),
+         0.0, Reaction.STOP, "the measured pose of the probe is not a number"),
+    Rule("pose_error", lambda s, m, g, r: math.dist(s.p_measured, s.p) > g.max_pose_error,
+         0.0, Reaction.STOP,
+         "the probe is more than {error:g} mm from where it was commanded to be"),
+    Rule("pose_frozen", _pose_frozen, 0.0, Reaction.STOP,
+         "the measured pose of the probe is frozen"),
+    Rule("command", lambda s, m, g, r: not s.accepted, 0.0, Reaction.STOP,
+         "the controller's command breaks a limit of the joints' positions, speeds or "
+         "accelerations, or is not a number"),
+    Rule("speed", lambda s, m, g, r: _wanted_speed(s, m) > g.max_speed, 0.0, Reaction.STOP,
+         "the probe was commanded to move faster than {g.max_speed:g} m/s"),
+    Rule("acceleration", _acceleration, 0.0, Reaction.STOP,
+         "the probe was commanded to accelerate at more than {g.max_acceleration:g} m/s^2"),
+    Rule("workspace", lambda s, m, g, r: _leaves(s, m, r, 1), 0.0, Reaction.STOP,
+         "the probe would leave the configured workspace"),
+    Rule("tilt", lambda s, m, g, r: _leaves(s, m, r, 2), 0.0, Reaction.STOP,
+         "the probe would tilt by more than {g.max_tilt_deg:g} deg"),
+    Rule("sample_repeats",
+         lambda s, m, g, r: m.sample_changed < s.time and g.wrist_sensor.frozen_after > 0,
+         math.inf, Reaction.NOTE, "samples of the wrist sensor that repeated the one before"),
+    Rule("pose_repeats", lambda s, m, g, r: m.pose_changed < s.time and g.pose_frozen_after > 0,
+         math.inf, Reaction.NOTE, "measured poses that repeated the one before"),
+    Rule("force_steps",
+         lambda s, m, g, r: s.plausible and abs(m.rate) * s.step - m.inertia > _NOTED_STEP,
+         math.inf, Reaction.NOTE,
+         f"steps of the force by more than {_NOTED_STEP:g} N between samples"),
 )
 """All causes, the gravest first."""
+# fmt: on
 
 CAUSES = {rule.name: number for number, rule in enumerate(RULES)}
 """Numbers of the causes by name."""
@@ -278,7 +213,7 @@ def judge(s: Sight, m: GuardMemory, g: GuardParameters, r: Region) -> tuple[Guar
             noticed[number] += share > 0 and m.mode == Mode.MONITORING
         elif confirmed and found < 0:
             found = number
-        elif share >= 1 and not confirmed and rule.holds is not _disagree:
+        elif share >= 1 and not confirmed and rule.name != "disagree":
             noticed[number] += 1
         quiet = quiet and not charge > time / 2
         charges.append(charge)
@@ -292,7 +227,7 @@ def reason(m: GuardMemory, g: GuardParameters, r: Region, *, alone: bool) -> str
     arm = f"the arm's torques say {m.arm_then:.1f} N"
     other = "nothing can press or pull there" if alone else arm
     most = max((each for each in (m.wrist_then, m.arm_then) if each == each), default=math.nan)
-    text = _TEMPLATES[RULES[int(m.cause)].name].format(
+    text = RULES[int(m.cause)].text.format(
         g=g, wrist=m.wrist_then, other=other, most=most, error=1e3 * g.max_pose_error,
         depth=1e3 * r.max_depth, half=g.max_force / 2,
     )  # fmt: skip
@@ -308,6 +243,6 @@ def remark(noticed: Sequence[float]) -> str:
     texts = []
     for rule, count in zip(RULES, noticed, strict=True):
         short = f"too short for a stop ({rule.name.replace('_', ' ')})"
-        text = _TEMPLATES[rule.name] if rule.reaction is Reaction.NOTE else short
+        text = rule.text if rule.reaction is Reaction.NOTE else short
         texts += [f"{text}: {count:g}"] * bool(count)
     return "; ".join(texts)

@@ -7,6 +7,7 @@ looks. All are tuples of numbers, because the guard runs at every step of the co
 import math
 from collections.abc import Sequence
 from enum import IntEnum
+from itertools import islice
 from typing import NamedTuple
 
 from sonoservo.systems.control.guard_parameters import GuardParameters
@@ -28,148 +29,81 @@ class Mode(IntEnum):
 
 
 class Sight(NamedTuple):
-    """What the guard sees in one step.
+    """What the guard sees in one step."""
 
-    Parameters
-    ----------
-    time, step
-        Time, and time since the step before, in s.
-    p, axis, p_measured
-        (3,) position and axis of the probe, as commanded, and its measured position.
-    p_ahead, axis_ahead
-        Pose to which the controller's command leads in `AHEAD`; None if the pose is inside the
-        region and the controller commands.
-    accepted
-        Whether the controller's command keeps the limits of the joints.
-    sample, plausible, force, wrist
-        (6,) sample of the wrist sensor: torque, then force, in N m and N; whether its numbers are
-        within the sensor's range; the force on the probe by it, and the part that presses, in N.
-    arm, arm_then, arm_error
-        Force with which the probe presses by the arm's torques, now and when the wrist's sample was
-        taken, and its standard deviation, in N. The force is NaN if a torque is no number, and None
-        if the arm reports none.
-    torque
-        Sum of those torques, in N m, which tells whether they change.
-    latency
-        Time in s by which the wrist's samples lag behind the arm's motion.
-    confirmed
-        Whether a person confirms that the robot may go on.
-    """
-
-    time: float
-    step: float
-    p: Vector
+    time: float  # in s
+    step: float  # time since the step before, in s
+    p: Vector  # (3,) position and axis of the probe, as commanded
     axis: Vector
-    p_measured: Vector
+    p_measured: Vector  # (3,) measured position
+    # Pose to which the controller's command leads in `AHEAD`; None if the pose is inside the region
+    # and the controller commands.
     p_ahead: Vector | None
     axis_ahead: Vector | None
-    accepted: bool
-    sample: Vector
-    plausible: bool
-    force: float
-    wrist: float
+    accepted: bool  # whether the controller's command keeps the limits of the joints
+    sample: Vector  # (6,) torque, then force by the wrist sensor, in N m and N
+    plausible: bool  # whether these are within the sensor's range
+    force: float  # force on the probe by it, in N
+    wrist: float  # part of it that presses
+    # Force in N with which the probe presses by the arm's torques: NaN if one is no number, None if
+    # the arm reports none.
     arm: float | None
-    arm_then: float | None
-    arm_error: float
-    torque: float = 0.0
-    latency: float = 0.0
-    confirmed: bool = False
+    arm_then: float | None  # the same when the wrist's sample was taken
+    arm_error: float  # its standard deviation
+    torque: float = 0.0  # sum of those torques in N m, which tells whether they change
+    latency: float = 0.0  # time in s by which the wrist's samples lag behind the arm's motion
+    confirmed: bool = False  # whether a person confirms that the robot may go on
 
 
 class GuardMemory(NamedTuple):
-    """What the guard remembers, besides the command that it sent; all numbers.
-
-    Parameters
-    ----------
-    mode, since
-        Present `Mode`, and the time in s at which it was entered.
-    cause, wrist_then, arm_then
-        Index of the rule of the last intervention, or -1, and the forces in N by the two witnesses.
-    fine_since, blocked
-        Time in s since which there is no cause to stop, and whether the probe is held because a
-        retreat would leave the workspace or the arm's reach.
-    interventions, doubts, doubted
-        Numbers of interventions, and of those with a wrong instrument since the witnesses have last
-        agreed in contact; and whether the present one is among them.
-    caution
-        Number of hard landings that have not been followed by a calm contact.
-    speed, start
-        Speed of the retreat in m/s, and (3,) position in m at which it began.
-    touched, depth
-        Time in s since which there is contact, NaN without one, and the way along its axis in m
-        that the probe has gone since then.
-    wrist, rate, inertia
-        Last plausible force by the wrist's sensor in N, its change in N/s, and the force in N that
-        the probe's inertia explains.
-    arm
-        Smoothed force by the arm's torques, in N; by the wrist's sensor where the arm reports none.
-    wrist_rest, arm_rest
-        What `wrist` and `arm` were when the retreat ended.
-    p, velocity, acceleration
-        (3,) position and velocity as commanded, in W, in m and m/s, and the size of the mean
-        acceleration, in m/s^2.
-    sample, torque, p_measured, p_then
-        What was seen last, and `p` when the measured position last changed.
-    sample_changed, torque_changed, pose_changed
-        Times in s at which they last changed.
-    charges, noticed
-        For each rule, the time in s for which its condition has held, less that for which it has
-        not, and the number of steps in which it held and led to nothing.
-    """
+    """What the guard remembers, besides the command that it sent; all numbers, in SI units."""
 
     mode: int = Mode.MONITORING
-    cause: int = -1
-    wrist_then: float = math.nan
+    cause: int = -1  # index of the rule of the last intervention, or -1
+    wrist_then: float = math.nan  # forces by the two witnesses then
     arm_then: float = math.nan
-    since: float = 0.0
-    fine_since: float = 0.0
-    blocked: int = False
+    since: float = 0.0  # time at which the mode was entered
+    fine_since: float = 0.0  # time since which there is no cause to stop
+    blocked: int = False  # held because a retreat would leave the workspace or the arm's reach
     interventions: int = 0
-    doubts: int = 0
-    doubted: int = False
-    caution: int = 0
-    speed: float = 0.0
-    touched: float = math.nan
-    depth: float = 0.0
-    acceleration: float = 0.0
-    inertia: float = 0.0
-    wrist: float = math.nan
+    doubts: int = 0  # those with a wrong instrument since the witnesses last agreed in contact
+    doubted: int = False  # whether the present intervention is among them
+    caution: int = 0  # hard landings that have not been followed by a calm contact
+    speed: float = 0.0  # of the retreat
+    touched: float = math.nan  # time since which there is contact, NaN without one
+    depth: float = 0.0  # way along its axis that the probe has gone since then
+    acceleration: float = 0.0  # size of the mean acceleration as commanded
+    inertia: float = 0.0  # force that the probe's inertia explains
+    wrist: float = math.nan  # last plausible force by the wrist's sensor, and its change in N/s
     rate: float = 0.0
-    arm: float = 0.0
-    wrist_rest: float = 0.0
+    arm: float = 0.0  # smoothed force by the arm's torques, or by the wrist where there are none
+    wrist_rest: float = 0.0  # what these were when the retreat ended
     arm_rest: float = 0.0
-    torque: float = math.nan
-    sample_changed: float = math.nan
+    torque: float = math.nan  # seen last
+    sample_changed: float = math.nan  # times at which these last changed
     torque_changed: float = math.nan
     pose_changed: float = math.nan
-    p: Vector = _NOWHERE
+    p: Vector = _NOWHERE  # position and velocity as commanded
     velocity: Vector = 3 * (0.0,)
-    start: Vector = 3 * (0.0,)
-    p_measured: Vector = _NOWHERE
-    p_then: Vector = _NOWHERE
-    sample: Vector = 2 * _NOWHERE
-    charges: Vector = ()
-    noticed: Vector = ()
+    start: Vector = 3 * (0.0,)  # position at which the retreat began
+    p_measured: Vector = _NOWHERE  # seen last
+    p_then: Vector = _NOWHERE  # `p` when the measured position last changed
+    sample: Vector = 2 * _NOWHERE  # seen last
+    charges: Vector = ()  # for each rule, the time for which it has held, less that it has not
+    noticed: Vector = ()  # and the number of steps in which it held and led to nothing
 
     def pack(self) -> list[float]:
         """Return all numbers in one list."""
-        numbers: list[float] = []
-        for value in self:
-            numbers.extend(value if isinstance(value, tuple) else (value,))
-        return numbers
+        groups = (value if isinstance(value, tuple) else (value,) for value in self)
+        return [number for group in groups for number in group]
 
     def unpack(self, numbers: list[float]) -> "GuardMemory":
         """Return the memory of which `pack` returned the numbers; ``self`` gives the sizes."""
-        values: list[float | Vector] = []
-        at = 0
-        for value in self:
-            if isinstance(value, tuple):
-                values.append(tuple(numbers[at : at + len(value)]))
-                at += len(value)
-            else:
-                values.append(numbers[at])
-                at += 1
-        return GuardMemory._make(values)
+        left = iter(numbers)
+        return GuardMemory._make(
+            tuple(islice(left, len(each))) if isinstance(each, tuple) else next(left)
+            for each in self
+        )
 
     @property
     def approach_scale(self) -> float:
@@ -178,19 +112,15 @@ class GuardMemory(NamedTuple):
 
 
 class Region(NamedTuple):
-    """Where the probe may be, in W, in m.
+    """Where the probe may be, in W, in m."""
 
-    Corners of the workspace, lowest height of the face and highest at which it can touch the body,
-    direction from which the tilt counts and cosine of the largest, longest way along it in contact.
-    """
-
-    low: Vector
+    low: Vector  # corners of the workspace
     high: Vector
-    floor: float
-    top: float
-    axis: Vector
-    min_cosine: float
-    max_depth: float
+    floor: float  # lowest height of the face
+    top: float  # highest one at which it can touch the body
+    axis: Vector  # direction from which the tilt counts
+    min_cosine: float  # of the largest tilt
+    max_depth: float  # longest way along the axis in contact
 
 
 def region(

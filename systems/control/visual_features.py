@@ -13,22 +13,12 @@ from numpy.typing import ArrayLike, NDArray
 def needle_features(
     tip: NDArray[np.float64], direction: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the features s = (X_tip, Z_tip, Theta) of a needle (eq. 23).
+    """Return the features s = (X_tip, Z_tip, Theta) of a needle, in m, m and rad (eq. 23).
 
-    Theta is the angle from the X axis to the Z axis of P. That is a negative right-handed rotation
-    about Y, and eq. 27 holds for this sign only. The sense of the needle's direction does not
-    matter, so Theta lies within +-90 deg.
-
-    Parameters
-    ----------
-    tip
-        (3,) position of the tip in P, in m.
-    direction
-        (3,) direction of the needle in P, of any length and either sense.
-
-    Returns
-    -------
-    (3,) X and Z in m, Theta in rad.
+    `tip` is its (3,) position in P, in m, and `direction` of any length. Theta is the angle from
+    the X axis to the Z axis of P. That is a negative right-handed rotation about Y, and eq. 27
+    holds for this sign only. The sense of the direction does not matter, so Theta lies within
+    +-90 deg.
     """
     x, _, z = tip.tolist()
     k_x, _, k_z = direction.tolist()
@@ -49,25 +39,12 @@ def interaction_matrix(features: NDArray[np.float64]) -> NDArray[np.float64]:
 def servo_velocity(
     features: NDArray[np.float64], *, gain: float, rates: ArrayLike = 0.0, rotate: bool = True
 ) -> NDArray[np.float64]:
-    """Return the velocity of the probe that brings the features to zero (eqs. 24, 25).
+    """Return the velocity (v_x, v_z, omega_y) of P, in P, that brings the features to zero.
 
-    v_c = -L_s^+ (gain e + rates). The wanted features are zero, so e = s.
-
-    Parameters
-    ----------
-    features
-        (3,) features s, in m, m, rad.
-    gain
-        Gain lambda, in 1/s.
-    rates
-        (3,) rates at which the features change while the probe stands still, in m/s, m/s, rad/s.
-        They are zero in the paper.
-    rotate
-        Whether to control Theta. It is undefined for a needle along the beam.
-
-    Returns
-    -------
-    (3,) velocity (v_x, v_z, omega_y) of P, in P, in m/s and rad/s.
+    v_c = -L_s^+ (gain e + rates), in m/s and rad/s (eqs. 24, 25). The wanted features are zero, so
+    e = s. The rates are those at which the features change while the probe stands still, zero in
+    the paper. Without `rotate`, Theta is not controlled: for a needle along the beam, it is
+    undefined.
     """
     wanted = -(gain * features + np.asarray(rates))
     if not rotate:

@@ -17,11 +17,7 @@ from sonoservo.systems.control.visual_features import (
 )
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
 from sonoservo.systems.signals.ports import declare_inputs, declare_output, evaluate_port
-from sonoservo.systems.signals.requirements import (
-    Bounded,
-    NotNegative,
-    Positive,
-)
+from sonoservo.systems.signals.requirements import Bounded, NotNegative, Positive
 
 _FOLLOWED = (TrackingMode.TRACKING, TrackingMode.COASTING)  # Modes in which an estimate is followed
 
@@ -114,11 +110,8 @@ def planar_velocity(
         rates=rates,
         rotate=inclination > math.sin(math.radians(parameters.min_inclination_deg)),
     )
-    return saturated(
-        velocity,
-        speed=parameters.max_speed,
-        angular_speed=math.radians(parameters.max_angular_speed_deg),
-    )
+    turning = math.radians(parameters.max_angular_speed_deg)
+    return saturated(velocity, speed=parameters.max_speed, angular_speed=turning)
 
 
 class VisualServo(LeafSystem):
@@ -157,17 +150,8 @@ class VisualServo(LeafSystem):
         self._X_WP = self.DeclareAbstractInputPort("X_WP", Value(RigidTransform()))
         self._gain = self.DeclareVectorInputPort("gain", 1)
         self.DeclareVectorOutputPort("planar_velocity", 3, self._calc_planar_velocity)
-        declare_output(
-            self,
-            "hold_reason",
-            str,
-            self._calc_hold_reason,
-            {
-                self._estimate.ticket(),
-                self._gain.ticket(),
-                self.time_ticket(),
-            },
-        )
+        read = {self._estimate.ticket(), self._gain.ticket(), self.time_ticket()}
+        declare_output(self, "hold_reason", str, self._calc_hold_reason, read)
 
     def _gain_now(self, context: Context) -> float:
         """Return the gain in 1/s, or NaN if what the port says is none."""

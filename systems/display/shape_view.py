@@ -11,6 +11,7 @@ from pydrake.systems.framework import Context, LeafSystem
 from sonoservo.systems.signals.cross_section import CrossSection
 from sonoservo.systems.signals.image_slice import ImageSlice
 from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.leaves import declare_looks
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.needle_shape import NeedleShape
 from sonoservo.systems.signals.ports import declare_inputs, evaluate
@@ -55,13 +56,7 @@ class ShapeView(LeafSystem):
 
     ``needle`` is the true `Needle` in T, for display only. The last three are values of a shape
     predictor, or a `NotFound`.
-
-    Parameters
-    ----------
-    screens
-        Screens to show it on.
-    period, offset
-        Period of the looks and time of the first one, in s: shortly after the estimator's events.
+    The looks come with a period and an offset in s: shortly after the estimator's events.
     """
 
     def __init__(
@@ -78,11 +73,9 @@ class ShapeView(LeafSystem):
             shape=(NeedleShape, NotFound),
         )
         self._start()
-        self.DeclareInitializationPublishEvent(publish=lambda context: self._start())
-        self.DeclarePeriodicPublishEvent(period, offset, self._publish)
-        self.DeclareForcedPublishEvent(self._publish)
+        declare_looks(self, self._publish, period=period, offset=offset, start=self._start)
 
-    def _start(self) -> None:
+    def _start(self, context: Context | None = None) -> None:
         for screen in self._screens:
             screen.start()
 

@@ -17,6 +17,7 @@ from sonoservo.systems.signals.planes import Plane
 
 _FLOAT, _UNSIGNED_SHORT = 5126, 5123
 _LINEAR, _CLAMP_TO_EDGE = 9729, 33071
+_DATA = "data:application/octet-stream;base64,"
 
 
 def gltf_textured_quads(planes: Sequence[Plane], pictures: Sequence[bytes]) -> str:
@@ -37,16 +38,9 @@ def gltf_textured_quads(planes: Sequence[Plane], pictures: Sequence[bytes]) -> s
         return len(views) - 1
 
     def store(array: NDArray[Any], kind: str, component: int) -> int:
-        accessors.append(
-            {
-                "bufferView": view(array.tobytes()),
-                "componentType": component,
-                "count": len(array),
-                "type": kind,
-                "min": array.min(axis=0).ravel().tolist(),
-                "max": array.max(axis=0).ravel().tolist(),
-            }
-        )
+        low, high = (each(axis=0).ravel().tolist() for each in (array.min, array.max))
+        described = {"componentType": component, "count": len(array), "type": kind}
+        accessors.append(described | {"bufferView": view(array.tobytes()), "min": low, "max": high})
         return len(accessors) - 1
 
     corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
@@ -58,13 +52,8 @@ def gltf_textured_quads(planes: Sequence[Plane], pictures: Sequence[bytes]) -> s
         p_S[:2] = (corners - 0.5).T * [[plane.width], [plane.height]]
         x, y, z = plane.X_PS.multiply(p_S)
         position = store(np.stack([x, z, -y], axis=1).astype("<f4"), "VEC3", _FLOAT)
-        primitives.append(
-            {
-                "attributes": {"POSITION": position, "TEXCOORD_0": texture},
-                "indices": triangles,
-                "material": number,
-            }
-        )
+        places = {"POSITION": position, "TEXCOORD_0": texture}
+        primitives.append({"attributes": places, "indices": triangles, "material": number})
     images = [
         {"bufferView": view(picture), "mimeType": _kind(picture)}
         for _, picture in zip(planes, pictures, strict=True)
@@ -90,18 +79,14 @@ def gltf_textured_quads(planes: Sequence[Plane], pictures: Sequence[bytes]) -> s
             for number in range(len(planes))
         ],
         "samplers": [
-            {
-                "magFilter": _LINEAR,
-                "minFilter": _LINEAR,
-                "wrapS": _CLAMP_TO_EDGE,
-                "wrapT": _CLAMP_TO_EDGE,
-            }
+            dict.fromkeys(("magFilter", "minFilter"), _LINEAR)
+            | dict.fromkeys(("wrapS", "wrapT"), _CLAMP_TO_EDGE)
         ],
         "images": images,
         "accessors": accessors,
         "bufferViews": views,
         # A page fetches each buffer by a request of its own, so there is but one.
-        "buffers": [{"uri": _data_uri(data), "byteLength": len(data)}],
+        "buffers": [{"uri": _DATA + base64.b64encode(data).decode(), "byteLength": len(data)}],
     }
     return json.dumps(document, separators=(",", ":"))
 
@@ -154,7 +139,3 @@ def bytes_of(colour: Sequence[float]) -> tuple[int, ...]:
 
 def _kind(picture: bytes) -> str:
     return "image/png" if picture.startswith(b"\x89PNG") else "image/webp"
-
-
-def _data_uri(data: bytes) -> str:
-    return f"data:application/octet-stream;base64,{base64.b64encode(data).decode()}"

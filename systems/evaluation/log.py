@@ -4,9 +4,9 @@ import io
 import sys
 import zipfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any, TypeVar, get_type_hints
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,16 +25,26 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True)
 class Column:
-    """Description of an array of a log.
+    """Meaning, unit, extents and type of an array of a log.
 
-    `what`: meaning; `unit`; `shape`: extents, each a number or a letter that arrays share; `dtype`:
-    "f8" for numbers, "?" for booleans or "U" for texts.
+    An extent is a number, or a letter that arrays share; a type is "f8", "f4", "u1", "?" or "U".
     """
 
     what: str
     unit: str
     shape: tuple[int | str, ...]
     dtype: str = "f8"
+
+    def missing(self, shape: Sequence[int]) -> Array:
+        """Return an array of a shape without data: NaN, or an empty text."""
+        fill: Any = "" if self.dtype == "U" else np.nan if self.dtype[0] == "f" else 0
+        return np.full(shape, fill, None if self.dtype == "U" else self.dtype)
+
+
+def column(what: str, unit: str, shape: str = "", dtype: str = "f8") -> Any:
+    """Return a field of a log for an array, with its extents in words: "n 4 4"."""
+    extents = tuple(int(each) if each.isdecimal() else each for each in shape.split())
+    return field(metadata={"column": Column(what, unit, extents, dtype)})
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -67,18 +77,16 @@ LogT = TypeVar("LogT", bound=Log)
 
 def columns(log_class: type[Log]) -> Mapping[str, Column]:
     """Return the column of each array of a log, by the array's name."""
-    hints = get_type_hints(log_class, include_extras=True)
-    return {name: hint.__metadata__[0] for name, hint in hints.items() if _is_column(hint)}
+    return {
+        each.name: each.metadata["column"]
+        for each in fields(log_class)
+        if "column" in each.metadata
+    }
 
 
-def _groups(log_class: type[Log]) -> tuple[str, ...]:
+def _groups(log_class: type[Log]) -> list[str]:
     """Return the names of the fields that are mappings of arrays."""
-    hints = get_type_hints(log_class, include_extras=True)
-    return tuple(name for name, hint in hints.items() if not _is_column(hint))
-
-
-def _is_column(hint: Any) -> bool:
-    return any(isinstance(each, Column) for each in getattr(hint, "__metadata__", ()))
+    return [each.name for each in fields(log_class) if "column" not in each.metadata]
 
 
 def stack_rows(
@@ -88,7 +96,7 @@ def stack_rows(
     if column.dtype == "U":
         return np.array([row.get(name, "") for row in rows], dtype=str)
     shape = [each if isinstance(each, int) else (extents or {})[each] for each in column.shape[1:]]
-    missing = np.full(shape, np.nan) if column.dtype == "f8" else np.zeros(shape, column.dtype)
+    missing = column.missing(shape)
     return np.array([row.get(name, missing) for row in rows], column.dtype).reshape(-1, *shape)
 
 
@@ -121,21 +129,9 @@ def encode_log(log: Log) -> bytes:
 
 
 def read_log(path: str | Path, log_class: type[LogT]) -> LogT:
-    """Read a log from its `.npz` file.
+    """Read a log of a class from its `.npz` file.
 
-    Parameters
-    ----------
-    path
-        Path of the file.
-    log_class
-        Class of the log in the file.
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is no such file.
-    ValueError
-        If the file is not a complete log of this class, or has another format version.
+    ValueError if the file is not a complete log of this class, or has another format version.
     """
     path = Path(path)
     if not path.is_file():
@@ -145,25 +141,21 @@ def read_log(path: str | Path, log_class: type[LogT]) -> LogT:
             size = sum(member.file_size for member in archive.infolist())
         require_memory(size, str(path), "its arrays")
         with np.load(path, allow_pickle=False) as file:
-            return _read(path, {name: file[name] for name in file.files}, log_class)
-
-
-def _read(path: Path, arrays: dict[str, Array], log_class: type[LogT]) -> LogT:
-    version = arrays.pop("format", None)
-    if version is None or version.shape or int(version) != FORMAT:
-        raise ConfigurationError(f"{path} has format {version}; this program reads format {FORMAT}")
-    known = columns(log_class)
-    if missing := sorted(known.keys() - arrays.keys()):
-        raise ConfigurationError(f"{path} lacks the arrays {', '.join(missing)}")
-    fields: dict[str, Any] = {name: arrays[name] for name in known}
-    for group in _groups(log_class):
-        prefix = f"{group}_"
-        fields[group] = {
-            name.removeprefix(prefix): array
-            for name, array in arrays.items()
-            if name.startswith(prefix)
-        }
-    return log_class(**fields)
+            arrays = {name: file[name] for name in file.files}
+        version = arrays.pop("format", None)
+        if version is None or version.shape or int(version) != FORMAT:
+            raise ConfigurationError(
+                f"{path} has format {version}; this program reads format {FORMAT}"
+            )
+        known = columns(log_class)
+        if missing := sorted(known.keys() - arrays.keys()):
+            raise ConfigurationError(f"{path} lacks the arrays {', '.join(missing)}")
+        given: dict[str, Any] = {name: arrays[name] for name in known}
+        for group in _groups(log_class):
+            prefix = f"{group}_"
+            names = [name for name in arrays if name.startswith(prefix)]
+            given[group] = {name.removeprefix(prefix): arrays[name] for name in names}
+        return log_class(**given)
 
 
 _LOOSE = 256  # number of rows that are kept as they came before they are packed

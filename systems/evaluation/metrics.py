@@ -1,14 +1,15 @@
-"""Metrics of a run, in blocks: detection, tracking, servo, force, guard and computing times."""
+"""Metrics of a run: detection, tracking, servo, force, guard, computing times, and what failed."""
 
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from itertools import compress
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.systems.evaluation.missing_needle import missing_needle, volume_reasons
 from sonoservo.systems.evaluation.run_errors import (
     Floats,
     Mask,
@@ -23,7 +24,7 @@ from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.evaluation.success import TrackedVolumes, from_needle, run_outcome
 from sonoservo.systems.signals.needle_estimate import TrackingMode
 from sonoservo.systems.signals.requirements import Positive, check_bounds, require_not_negative
-from sonoservo.systems.signals.search_reason import ReasonCount
+from sonoservo.systems.signals.search_reason import ReasonCount, SearchReason
 
 
 @dataclass(kw_only=True)
@@ -150,7 +151,7 @@ def tracking(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
     in_view = np.where(np.isfinite(visible), visible, length)
     lost = judged & ~tracked & (in_view > parameters.min_length)
 
-    errors = estimate_errors(log)
+    errors, unknown = estimate_errors(log), ~is_known(log.volume_estimate_tip)
     followed = is_known(log.estimate_tip) & (log.estimate_mode != TrackingMode.LOST)
     absent = log.inserted_length == 0
     right = from_needle(log, log.time, log.estimate_tip) <= parameters.start_tolerance
@@ -162,13 +163,7 @@ def tracking(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
         "estimated": int(np.sum(judged & np.isfinite(errors.tip))),
         "lost": int(np.sum(lost)),
         "lost_events": _losses(lost, in_view, length, parameters.min_length),
-        "reasons": ReasonCount(
-            reason
-            for reason, known in zip(
-                volume_reasons(log), is_known(log.volume_estimate_tip), strict=True
-            )
-            if not known
-        ).words,
+        "reasons": ReasonCount(compress(volume_reasons(log), unknown)).words,
         "absent_s": _seconds(followed & absent, log.time),
         "wrong_s": _seconds(followed & judgeable & ~right, log.time),
         "absent_travel_mm": 1e3 * _seconds(absent, log.time, np.nan_to_num(speed)),
@@ -339,3 +334,57 @@ def _reduced(function: Callable[[Floats], Any], values: Floats) -> float:
 
 
 _mean, _median, _max = (partial(_reduced, each) for each in (np.mean, np.median, np.max))
+
+
+_IN_VIEW = 5e-3
+"""Length of the needle in the swept sector, in m, from which the tracker could find it."""
+
+
+def missing_needle(log: RunLog) -> tuple[str, str]:
+    """Return why the tracker found no needle, and what to change, each as a sentence or empty.
+
+    It is the most frequent reason while the needle could be seen, in truth, or in the whole run.
+    """
+    reasons = volume_reasons(log)
+    if not reasons:
+        return "No volume was acquired.", _sentence(SearchReason.NO_VOLUME.run_advice)
+    last = f" {_sentence(reasons[-1])}" if reasons[-1] else ""
+    if np.nanmax(log.inserted_length, initial=-1) == 0:
+        return (
+            f"The needle stayed outside the tissue.{last}",
+            "Push it in before the run ends (hand.start, hand.pushes, duration).",
+        )
+    visible = at_times(log, log.visible_length, log.volume_time)
+    seen = np.nan_to_num(visible) > _IN_VIEW
+    if np.isfinite(visible).any() and not seen.any():
+        return (
+            f"The needle never came into view.{last}",
+            "Push it further (hand.pushes), or let it pass below the probe (hand.aim).",
+        )
+    shown = [reason for reason, each in zip(reasons, seen, strict=True) if each] or reasons
+    # The first volumes have nothing to be compared with, whatever else is wrong.
+    early = SearchReason.NOTHING_EARLIER
+    shown = [each for each in shown if SearchReason.of(each) is not early] or shown
+    counts = Counter(SearchReason.of(each) or each for each in shown)
+    usual, _ = counts.most_common(1)[0]
+    last = next(each for each in reversed(shown) if (SearchReason.of(each) or each) == usual)
+    return _sentence(last), _sentence(usual.run_advice if isinstance(usual, SearchReason) else "")
+
+
+def volume_reasons(log: RunLog) -> list[str]:
+    """Return for each volume of a log why it gave no needle; empty if nothing was said."""
+    given = log.volume_detected, log.volume_detection_reason, log.volume_measurement_reason
+    return [_reason(*each) for each in zip(*(column.tolist() for column in given), strict=True)]
+
+
+def _reason(is_detected: bool, detection: str, measurement: str) -> str:
+    """Return the reason of one volume, from those of the detector and the localizer."""
+    measured, detected = SearchReason.of(measurement), SearchReason.of(detection)
+    if is_detected and measured is SearchReason.NOT_DETECTED:
+        return SearchReason.MOTION_UNCONFIRMED("; the needle is not confirmed yet")
+    nothing_said = not detection or detected is SearchReason.TRACKED
+    return measurement if nothing_said else detection
+
+
+def _sentence(text: str) -> str:
+    return f"{text[:1].upper()}{text[1:]}." if text else ""

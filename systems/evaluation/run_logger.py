@@ -1,55 +1,37 @@
 """The leaf that logs a run in which the robot follows a needle."""
 
 from collections.abc import Mapping
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from pydrake.multibody.math import SpatialForce
-from pydrake.systems.framework import Context, LeafSystem, ValueProducer
+from pydrake.systems.framework import Context, LeafSystem
 
-from sonoservo.systems.evaluation.log import Array, Column, LogRows, Row, columns
+from sonoservo.systems.evaluation.log import LogRows, Row, columns
 from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.signals.guard_status import GuardStatus
 from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.leaves import declare_looks, declare_memory
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
-from sonoservo.systems.signals.ports import Types, declare_inputs, evaluate_port
-from sonoservo.systems.signals.requirements import require_not_negative, require_positive
+from sonoservo.systems.signals.ports import declare_inputs, evaluate_optional
+from sonoservo.systems.signals.requirements import require_positive
 from sonoservo.systems.signals.sweep import MotionRecord, SweepGeometry
 from sonoservo.systems.signals.volume import VolumeCheck
 
-T = TypeVar("T")
 
-_OBJECTS: dict[str, Types] = {
-    "motion_record": (MotionRecord, NotFound),
-    "needle": Needle,
-    "estimate": NeedleEstimate,
-    "measurement": (NeedleMeasurement, NotFound),
-    "detection": object,
-    "guard": GuardStatus,
-    "hold_reason": str,
-    "volume_check": VolumeCheck,
-}
-
-
-class _Rows:
-    """Rows kept so far, of samples and of volumes."""
-
-    def __init__(self, extents: Mapping[str, int]) -> None:
-        for_samples: dict[str, Column] = {}
-        for_volumes: dict[str, Column] = {}
-        for name, column in columns(RunLog).items():
-            (for_samples if column.shape[0] == "n" else for_volumes)[name] = column
-        self.samples = LogRows(for_samples, extents)
-        self.volumes = LogRows(for_volumes, extents)
-
-    def arrays(self) -> dict[str, Array]:
-        """Return all arrays by their names."""
-        return self.samples.arrays() | self.volumes.arrays()
+def _new_rows(extents: Mapping[str, int]) -> dict[str, LogRows]:
+    """Return the rows of samples, named n, and of volumes, named v, by their first extent."""
+    return {
+        first: LogRows(
+            {name: each for name, each in columns(RunLog).items() if each.shape[0] == first},
+            extents,
+        )
+        for first in "nv"
+    }
 
 
 class RunLogger(LeafSystem):
@@ -107,114 +89,95 @@ class RunLogger(LeafSystem):
         geometry: SweepGeometry | None = None,
     ) -> None:
         super().__init__()
-        require_positive(period=period)
-        require_not_negative(volume_offset=volume_offset)
-        self.DeclareAbstractInputPort("X_WP", Value(RigidTransform()))
-        self.DeclareAbstractInputPort("X_WT", Value(RigidTransform()))
-        self.DeclareAbstractInputPort("true_X_WP", Value(RigidTransform()))
-        declare_inputs(self, **_OBJECTS)
+        for name in ("X_WP", "X_WT", "true_X_WP"):
+            self.DeclareAbstractInputPort(name, Value(RigidTransform()))
+        declare_inputs(
+            self,
+            motion_record=(MotionRecord, NotFound),
+            needle=Needle,
+            estimate=NeedleEstimate,
+            measurement=(NeedleMeasurement, NotFound),
+            detection=object,
+            guard=GuardStatus,
+            hold_reason=str,
+            volume_check=VolumeCheck,
+        )
         self.DeclareVectorInputPort("joint_state", 2 * joints)
         self.DeclareAbstractInputPort("wrist_force", Value(SpatialForce()))
         self.DeclareVectorInputPort("contact_force", 1)
         self.DeclareVectorInputPort("planar_velocity", 3)
-        ports = map(self.get_input_port, range(self.num_input_ports()))
-        self._ports = {port.get_name(): port for port in ports}
         self._geometry = geometry
-        self._rows = self.DeclareCacheEntry(
-            "log",
-            ValueProducer(lambda: Value[object](_Rows({"2j": 2 * joints})), ValueProducer.NoopCalc),
-            {self.nothing_ticket()},
-        )
-        self.DeclareInitializationPublishEvent(self._start)
-        self.DeclarePeriodicPublishEvent(period, 0.0, self._sample)
+        self._rows = declare_memory(self, lambda: _new_rows({"2j": 2 * joints}))
+        declare_looks(self, self._sample, period=period, start=self._start)
         if volume_period is not None:
             require_positive(volume_period=volume_period)
             self.DeclarePeriodicPublishEvent(volume_period, volume_offset, self._look)
-        self.DeclareForcedPublishEvent(self._sample)
 
     def log(self, context: Context, compute: Mapping[str, ArrayLike] | None = None) -> RunLog:
         """Return the log so far; it is complete up to that time even if the run was cut short."""
         times = {name: np.asarray(each, float) for name, each in (compute or {}).items()}
-        return RunLog(**self._kept(context).arrays(), compute=times)
-
-    def _kept(self, context: Context) -> _Rows:
-        value = self._rows.get_mutable_cache_entry_value(context).GetMutableValueOrThrow()
-        assert isinstance(value, _Rows)
-        return value
+        samples, volumes = (rows.arrays() for rows in self._rows(context).values())
+        return RunLog(**samples, **volumes, compute=times)
 
     def _start(self, context: Context) -> None:
-        kept = self._kept(context)
-        kept.samples.clear()
-        kept.volumes.clear()
-
-    def _value(
-        self, context: Context, port: str, expected: type[T] | tuple[type[T], ...]
-    ) -> T | None:
-        input_port = self._ports[port]
-        return (
-            evaluate_port(input_port, context, expected) if input_port.HasValue(context) else None
-        )
-
-    def _vector(self, context: Context, port: str) -> Array | None:
-        return self._value(context, port, np.ndarray)
+        for rows in self._rows(context).values():
+            rows.clear()
 
     def _sample(self, context: Context) -> None:
-        time, samples = context.get_time(), self._kept(context).samples
+        time, samples = context.get_time(), self._rows(context)["n"]
         if samples.newest and samples.newest["time"] >= time:
             return
+        X_WP, true, X_WT = (
+            evaluate_optional(self, context, name, RigidTransform)
+            for name in ("X_WP", "true_X_WP", "X_WT")
+        )
         row: Row = {"time": time}
-        X_WT = self._value(context, "X_WT", RigidTransform)
-        measured = self._value(context, "X_WP", RigidTransform)
-        true = self._value(context, "true_X_WP", RigidTransform)
-        X_WP = measured if true is None else true
-        for name, X in (("X_WP", X_WP), ("measured_X_WP", measured), ("X_WT", X_WT)):
+        for name, X in (("X_WP", true or X_WP), ("measured_X_WP", X_WP), ("X_WT", X_WT)):
             if X is not None:
                 row[name] = X.GetAsMatrix4()
-        needle = self._value(context, "needle", Needle)
-        if needle is not None:
-            row["inserted_length"] = needle.length if needle else 0.0
-            if needle and X_WT is not None:
-                row["needle_tip"] = X_WT.multiply(needle.tip)
-                row["needle_entry"] = X_WT.multiply(needle.shaft[0])
-                points = needle.position(np.linspace(0, needle.length, 9))
-                row["needle_points"] = X_WT.multiply(points.T).T
-            if self._geometry is not None and X_WP is not None and X_WT is not None:
-                in_probe = needle.transformed(X_WP.InvertAndCompose(X_WT))
-                row["visible_length"] = visible_length(in_probe, self._geometry)
-        estimate = self._value(context, "estimate", NeedleEstimate)
+        if (needle := evaluate_optional(self, context, "needle", Needle)) is not None:
+            row |= self._truth(needle, true or X_WP, X_WT)
+        estimate = evaluate_optional(self, context, "estimate", NeedleEstimate)
         if estimate is not None:
             row |= _describe(estimate, "estimate")
             if estimate:
                 row["estimate_velocity"] = estimate.tip_velocity
             self._look(context)
-        wrist_force = self._value(context, "wrist_force", SpatialForce)
+        wrist_force = evaluate_optional(self, context, "wrist_force", SpatialForce)
         if wrist_force is not None:
             row["wrist_force"] = wrist_force.get_coeffs()
-        contact_force = self._vector(context, "contact_force")
-        if contact_force is not None:
-            row["contact_force"] = contact_force[0]
-        for name in ("joint_state", "planar_velocity"):
-            vector = self._vector(context, name)
+        for name in ("contact_force", "joint_state", "planar_velocity"):
+            vector = evaluate_optional(self, context, name, np.ndarray)
             if vector is not None:
-                row[name] = vector.copy()
-        guard = self._value(context, "guard", GuardStatus)
-        if guard is not None:
+                row[name] = vector[0] if name == "contact_force" else vector.copy()
+        if (guard := evaluate_optional(self, context, "guard", GuardStatus)) is not None:
             row["guard_state"] = str(guard.state)
             row["guard_reason"] = guard.reason if guard.stopped else ""
-        hold = self._value(context, "hold_reason", str)
-        if hold is not None:
-            row["hold_reason"] = hold
-        check = self._value(context, "volume_check", VolumeCheck)
-        if check is not None:
+        row["hold_reason"] = evaluate_optional(self, context, "hold_reason", str) or ""
+        if (check := evaluate_optional(self, context, "volume_check", VolumeCheck)) is not None:
             row["volumes_refused"], row["refusal_reason"] = check.refused, check.reason
         samples.append(row)
 
+    def _truth(
+        self, needle: Needle, X_WP: RigidTransform | None, X_WT: RigidTransform | None
+    ) -> Row:
+        row: Row = {"inserted_length": needle.length if needle else 0.0}
+        if needle and X_WT is not None:
+            row["needle_tip"] = X_WT.multiply(needle.tip)
+            row["needle_entry"] = X_WT.multiply(needle.shaft[0])
+            points = needle.position(np.linspace(0, needle.length, 9))
+            row["needle_points"] = X_WT.multiply(points.T).T
+        if self._geometry is not None and X_WP is not None and X_WT is not None:
+            in_probe = needle.transformed(X_WP.InvertAndCompose(X_WT))
+            row["visible_length"] = visible_length(in_probe, self._geometry)
+        return row
+
     def _look(self, context: Context) -> None:
         """Add a row if the estimate was made from a volume newer than the last one logged."""
-        estimate = self._value(context, "estimate", NeedleEstimate)
+        estimate = evaluate_optional(self, context, "estimate", NeedleEstimate)
+        volumes = self._rows(context)["v"]
         if estimate is None or not np.isfinite(estimate.volume_time):
             return
-        volumes = self._kept(context).volumes
         if volumes.newest and volumes.newest["volume_time"] >= estimate.volume_time:
             return
         row: Row = {"volume_time": estimate.volume_time, "volume_seen": context.get_time()}
@@ -226,10 +189,10 @@ class RunLogger(LeafSystem):
             row["volume_estimate_tip_covariance"] = estimate.tip_covariance
             row["volume_estimate_direction_covariance"] = estimate.direction_covariance
             row["volume_estimate_velocity_covariance"] = estimate.tip_velocity_covariance
-        detection = self._value(context, "detection", object)
+        detection = evaluate_optional(self, context, "detection", object)
         row["volume_detected"] = bool(detection)
         row["volume_detection_reason"] = _reason(detection)
-        measurement = self._value(context, "measurement", (NeedleMeasurement, NotFound))
+        measurement = evaluate_optional(self, context, "measurement", (NeedleMeasurement, NotFound))
         row["volume_measurement_reason"] = _reason(measurement)
         if isinstance(measurement, NeedleMeasurement):
             row["volume_measured_time"] = measurement.time
@@ -241,7 +204,7 @@ class RunLogger(LeafSystem):
 
     def _motions(self, context: Context, volume_time: float) -> Row:
         """Return the measured and the true motion of a volume, if it is the newest."""
-        record = self._value(context, "motion_record", (MotionRecord, NotFound))
+        record = evaluate_optional(self, context, "motion_record", (MotionRecord, NotFound))
         if not isinstance(record, MotionRecord):
             return {}
         middle = record.true.geometry.frames // 2

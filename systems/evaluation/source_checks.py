@@ -172,7 +172,7 @@ def check_times(times: ArrayLike, what: str = "volumes") -> list[Finding]:
     period = float(np.median(rising))
     jitter = float(np.sqrt(np.mean(np.clip(rising / period - 1, -_GAP, _GAP - 1) ** 2)))
     rate = f"{1 / period:.3g} {what} a second over {known.max() - known.min():.3g} s"
-    findings = [_fine(Check.RATE, f"{rate}, jitter {1e3 * jitter * period:.3g} ms")]
+    findings = [_fine(Check.RATE, f"{rate}, jitter {1e3 * jitter * period:.1f} ms")]
     if jitter > _JITTER:
         findings.append(_Fault.JITTER(what=what, share=100 * jitter))
     gaps = rising[rising > _GAP * period]

@@ -97,14 +97,9 @@ def judged_errors(log: RunLog, *, across_depth: bool = False) -> tuple[Floats, F
     """Return (v,) errors of tip in m and of direction (the needle's front half) in rad."""
     time = log.volume_estimate_time
     X_WP, points = at_times(log, log.X_WP, time), at_times(log, log.needle_points, time)
+    ends = log.volume_estimate_tip, log.volume_estimate_entry
     middle, true_tip, tip, entry = (
-        in_frame(X_WP, each)
-        for each in (
-            points[:, points.shape[1] // 2],
-            points[:, -1],
-            log.volume_estimate_tip,
-            log.volume_estimate_entry,
-        )
+        in_frame(X_WP, each) for each in (points[:, points.shape[1] // 2], points[:, -1], *ends)
     )
     counted = np.array([1.0, 0.0, 1.0]) if across_depth else np.ones(3)
     true, estimated = unit(counted * (true_tip - middle)), unit(counted * (tip - entry))
@@ -173,21 +168,10 @@ _DEPTHS = np.linspace(0.92, 1.08, 17)
 def conspicuous_length(volume: Volume, points: Floats) -> float:
     """Return the length of a needle that stands 6 dB or more over the tissue around it, in m.
 
-    Echo and tissue are mean grey levels, within 0.7 mm and from 4 to 6 mm of the needle, over 3 mm
-    along it. The depth is scaled by up to 8 % to where the needle is brightest, as an image made
-    with a wrong speed of sound shows it there.
-
-    Parameters
-    ----------
-    volume
-        Volume that shows the needle.
-    points
-        (n, 3) positions along the needle from entry to tip, where the volume would show them in P
-        if its depth were right, in m.
-
-    Returns
-    -------
-    Length in m, to 0.5 mm; 0 for a needle outside the field of view.
+    `points` are (n, 3) positions in P along the needle from entry to tip, in m, where the volume
+    would show them if its depth were right. Echo and tissue are mean grey levels, within 0.7 mm and
+    from 4 to 6 mm of the needle, over 3 mm along it. The depth is scaled by up to 8 % to where the
+    needle is brightest, as an image made with a wrong speed of sound shows it there.
     """
     ends = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
     samples = np.arange(_STEP / 2, ends[-1], _STEP)

@@ -71,18 +71,7 @@ KEYS = {
 """Keys of 3D Slicer and this program, and what becomes of them; the first three follow ``axis N``.
 Those of PLUS are the `plus_fields`."""
 
-_SYNONYMS = {
-    "centerings": "centers",
-    "datafile": "data file",
-    "lineskip": "line skip",
-    "byteskip": "byte skip",
-    "blocksize": "block size",
-    "oldmin": "old min",
-    "oldmax": "old max",
-    "axismins": "axis mins",
-    "axismaxs": "axis maxs",
-    "sampleunits": "sample units",
-}
+_NAMES = {name.replace(" ", ""): name for name in FIELDS} | {"centerings": "centers"}
 
 _TYPES = {
     "u1": ("uchar", "unsigned char", "uint8", "uint8_t"),
@@ -157,7 +146,7 @@ def _add_field(path: Path, fields: dict[str, str], line: str) -> None:
     if not colon:
         field, colon, value = line.partition(":")
     name = field.strip().lower()
-    name = _SYNONYMS.get(name, name)
+    name = _NAMES.get(name.replace(" ", ""), name)
     if not colon:
         raise ConfigurationError(f"{path}: {line[:60]!r} is no field of an NRRD header")
     value = value.strip()
@@ -276,8 +265,8 @@ class _Reader:
             raise self.refuse(field, "it holds vectors (x,y,z)")
         return np.array([row or [np.nan] * width for row in rows])
 
-    def _scales(self) -> tuple[NDArray[np.float64], str]:
-        """Return (3,) factors that turn the space's coordinates into mm in LPS, and its name."""
+    def _scales(self) -> NDArray[np.float64]:
+        """Return (3,) factors that turn the space's coordinates into mm in LPS."""
         name = self.header.get("space", "").strip().lower()
         base = name.removesuffix("-time")
         base = {"rast": "ras", "last": "las", "lpst": "lps"}.get(base, base)
@@ -294,11 +283,11 @@ class _Reader:
                 f"{self.path}: space units: {units} are not allowed; use mm, cm, m or um"
             )
         scales = [*scales, 1.0][:3]
-        return np.array(SPACES.get(base, (1, 1, 1)), float) * scales, name
+        return np.asarray(np.array(SPACES.get(base, (1, 1, 1)), float) * scales)
 
     def _geometry(self, spatial: list[int]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the (3, 3) steps along the axes as columns, and the (3,) origin, in mm, in LPS."""
-        scale, _ = self._scales()
+        scale = self._scales()
         n = len(spatial)
         vectors = self._vectors("space directions")
         origins = self._vectors("space origin")

@@ -7,10 +7,9 @@ name; Drake's own schema classes inside them are filled by Drake's `yaml_load_ty
 import dataclasses
 import difflib
 import math
-import sys
 import types
 import typing
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
@@ -18,6 +17,7 @@ from typing import Any, TypeVar
 import yaml
 
 from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
+from sonoservo.systems.files.writing import to_plain
 from sonoservo.systems.files.yaml_loader import MAX_DEPTH, MAX_LENGTH, Dumper, Tagged, load_yaml
 
 T = TypeVar("T")
@@ -86,19 +86,6 @@ def _fields(schema: Any) -> dict[str, Any]:
     return {field.name: field.type for field in getattr(schema, "__fields__", ())}
 
 
-def without_numpy(value: Any) -> Any:
-    """Return a value with NumPy's numbers and arrays, also in mappings and lists, as Python's."""
-    # Values of NumPy are there only if somebody has loaded it.
-    np = sys.modules.get("numpy")
-    if np is not None and isinstance(value, np.generic | np.ndarray):
-        return value.tolist()
-    if isinstance(value, Mapping):
-        return {key: without_numpy(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [without_numpy(item) for item in value]
-    return value
-
-
 def apply_changes(data: dict[str, Any], changes: Mapping[str, Any] | Sequence[str] | None) -> None:
     """Change fields of a nested mapping: values by dotted path, or ``path.to.field=value``.
 
@@ -107,7 +94,7 @@ def apply_changes(data: dict[str, Any], changes: Mapping[str, Any] | Sequence[st
     """
     if isinstance(changes, Mapping):
         for path, value in changes.items():
-            _assign(data, str(path), without_numpy(value))
+            _assign(data, str(path), to_plain(value, for_json=False))
         return
     if changes is None:
         return
@@ -237,7 +224,8 @@ class _Loader:
         made = {}
         for key, item in value.items():
             if key not in fields:
-                inside = _inside(str(key), fields)
+                used = {n for n in fields if n in value or getattr(default, n) is not None}
+                inside = _inside(str(key), fields, used)
                 hint = f"did you mean {prefix + inside!r}?" if inside else suggest(str(key), fields)
                 self._fail(f"{prefix}{key}", f"unknown field; {hint}")
             made[key] = self.make(fields[key], item, f"{prefix}{key}", getattr(default, key))
@@ -258,12 +246,14 @@ def _plain_type(hint: Any) -> Any:
     return hint.__origin__ if typing.get_origin(hint) is typing.Annotated else hint
 
 
-def _inside(key: str, fields: Mapping[str, Any]) -> str | None:
-    """Return the path of a field by its name in one of the sections, or None."""
-    for name, hint in fields.items():
+def _inside(key: str, fields: Mapping[str, Any], used: Container[str]) -> str | None:
+    """Return the path of a field by its name in one of the sections, used ones first, or None."""
+    for name, hint in sorted(fields.items(), key=lambda field: field[0] not in used):
         union = typing.get_origin(hint) in (types.UnionType, typing.Union)
-        if any(key in _fields(each) for each in (typing.get_args(hint) if union else [hint])):
-            return f"{name}.{key}"
+        for each in typing.get_args(hint) if union else [hint]:
+            elements = typing.get_args(each) if typing.get_origin(each) is list else ()
+            if any(key in _fields(one) for one in elements or [each]):
+                return f"{name}.0.{key}" if elements else f"{name}.{key}"
     return None
 
 

@@ -115,15 +115,21 @@ def to_json(data: Any) -> str:
     return json.dumps(to_plain(data), indent=2, allow_nan=False)
 
 
-def to_plain(data: Any) -> Any:
-    """Return data in Python's own types, with None in place of numbers that are not finite."""
+def to_plain(data: Any, *, for_json: bool = True) -> Any:
+    """Return data with NumPy's values as Python's own.
+
+    For JSON, keys are texts, and numbers that are not finite become None.
+    """
     if isinstance(data, Mapping):
-        return {str(key): to_plain(value) for key, value in data.items()}
+        return {
+            str(key) if for_json else key: to_plain(value, for_json=for_json)
+            for key, value in data.items()
+        }
     if hasattr(data, "tolist"):  # NumPy data, without importing NumPy
-        return to_plain(data.tolist())
+        return to_plain(data.tolist(), for_json=for_json)
     if isinstance(data, list | tuple):
-        return [to_plain(value) for value in data]
-    if isinstance(data, float) and not math.isfinite(data):
+        return [to_plain(value, for_json=for_json) for value in data]
+    if for_json and isinstance(data, float) and not math.isfinite(data):
         return None
     return data
 

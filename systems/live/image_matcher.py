@@ -1,7 +1,7 @@
 """Matching of images and poses as their messages arrive."""
 
 from collections import Counter, OrderedDict
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
@@ -31,9 +31,7 @@ _APART = 0.5  # Difference in s between two clocks that delays of messages do no
 _SILENT = 2.0
 _ESTABLISHED = 10  # Number of images in a row after which the images of other peers are left aside
 _REMEMBERED, _WAITING, _NAMES, _SENDERS = 8, 32, 32, 512
-
-MAX_WAITING = 1 << 29
-"""Bytes of the images that wait at most; at least one may wait."""
+_MAX_WAITING = 1 << 29  # Bytes of the images that wait at most; at least one may wait
 
 
 class LeftOut(Enum):
@@ -61,6 +59,12 @@ class PosedImage(Immutable):
     time: float
     arrived: float
     sender: tuple[str, str] = ("", "")
+
+
+def too_many(images: Sequence[ImageItem], most: int) -> bool:
+    """Return whether more images wait than may: in number, or in bytes if there are several."""
+    size = sum(image.voxels.nbytes for image in images)
+    return len(images) > most or (len(images) > 1 and size > _MAX_WAITING)
 
 
 def least(numbers: Iterable[int]) -> int:
@@ -185,10 +189,7 @@ class ImageMatcher:
         elif isinstance(item, ImageItem) and self._is_wanted(item, sender, peer, now):
             sender.image_clock.note(item.time, now)
             self._waiting.append((item, peer, now))
-            while len(self._waiting) > _WAITING or (
-                len(self._waiting) > 1
-                and sum(image.voxels.nbytes for image, _, _ in self._waiting) > MAX_WAITING
-            ):
+            while too_many([image for image, _, _ in self._waiting], _WAITING):
                 del self._waiting[least(self.standing(each) for _, each, _ in self._waiting)]
                 self.left_out[LeftOut.TOO_MANY] += 1
         return self.release(now)

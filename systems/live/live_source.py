@@ -10,11 +10,11 @@ from sonoservo.systems.live.connection.address import Address
 from sonoservo.systems.live.connection.items import Item
 from sonoservo.systems.live.connection.link import Link
 from sonoservo.systems.live.image_matcher import (
-    MAX_WAITING,
     ImageMatcher,
     LeftOut,
     PosedImage,
     least,
+    too_many,
 )
 from sonoservo.systems.live.volume_maker import VolumeMaker
 from sonoservo.systems.recording.grey_levels import GreyLevels
@@ -163,10 +163,7 @@ class LiveSource:
             self._images.append(image)
             self.times.append(image.time)
             keep = max(self._keep, _FIRST_KEPT) if self._taken < 2 else self._keep
-            if len(self._images) > keep or (
-                len(self._images) > 1
-                and sum(each.image.voxels.nbytes for each in self._images) > MAX_WAITING
-            ):
+            if too_many([each.image for each in self._images], keep):
                 del self._images[
                     least(self._matcher.standing(each.sender[0]) for each in self._images)
                 ]

@@ -1,23 +1,13 @@
 """The leaf that sends values over a live connection."""
 
-from typing import Protocol
-
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, LeafSystem
 
-from sonoservo.systems.live.connection.items import Item
+from sonoservo.systems.live.connection.link import Link
 from sonoservo.systems.live.feeds import Feed
 from sonoservo.systems.signals.ports import declare_inputs, evaluate
 from sonoservo.systems.signals.requirements import require_not_negative, require_positive
-
-
-class Outlet(Protocol):
-    """Destination of items: a `Link`, or its stand-in in a test."""
-
-    def send(self, items: list[Item], topic: str = "", keep: int | None = None) -> None:
-        """Send items together, or drop them together; never wait."""
-        ...
 
 
 class Sender(LeafSystem):
@@ -39,7 +29,7 @@ class Sender(LeafSystem):
         Period and offset of the times at which it sends, in s: a moment after the tracker's.
     """
 
-    def __init__(self, *, outlet: Outlet, feed: Feed, period: float, offset: float = 0.0) -> None:
+    def __init__(self, *, outlet: Link, feed: Feed, period: float, offset: float = 0.0) -> None:
         super().__init__()
         require_positive(period=period)
         require_not_negative(offset=offset)

@@ -2,23 +2,15 @@
 
 import time
 from collections.abc import Callable
-from typing import Protocol
 
 from pydrake.common.value import Value
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
+from sonoservo.systems.live.live_source import LiveSource
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.ports import declare_state_output
 from sonoservo.systems.signals.requirements import require_positive
 from sonoservo.systems.signals.volume import Volume
-
-
-class VolumeSource(Protocol):
-    """Source of volumes: a `LiveSource`, or what takes its place in a test."""
-
-    def take(self, timeout: float = 0.0) -> Volume | NotFound:
-        """Return the next volume, or why there is none."""
-        ...
 
 
 class VolumeReceiver(LeafSystem):
@@ -51,7 +43,7 @@ class VolumeReceiver(LeafSystem):
     def __init__(
         self,
         *,
-        source: VolumeSource,
+        source: LiveSource,
         stale_after: float = 2.0,
         clock: Callable[[], float] = time.perf_counter,
     ) -> None:

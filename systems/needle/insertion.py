@@ -172,7 +172,8 @@ class Insertion(Immutable):
         track = None
         if self.path is None:
             track = self._track(time, length, entry, axes[0])
-            along, first = np.array([[0, 0, 0], [length, 0, 0]]), np.eye(3)[0]
+            first = np.array([1.0, 0.0, 0.0])
+            along = np.array([[0.0, 0.0, 0.0], length * first])
         else:
             along = self.path.positions(self._points(length), self._motion.cut(time, length))
             first = self.path.direction
@@ -186,8 +187,8 @@ class Insertion(Immutable):
         if self.path is not None or self.parameters.feed is not None:
             return None
         aimed = next(each.start for each in reversed(self._aims) if each.start <= time)
-        before = (self._times >= aimed) & (self._times <= time)
-        deepest = float(self._depths[before].max(initial=0.0))
+        first, last = self._times.searchsorted(aimed), self._times.searchsorted(time, "right")
+        deepest = float(self._depths[first:last].max(initial=0.0))
         if deepest < length + _SHORTEST_TRACK:
             return None
         return entry + np.outer([length, deepest], along)

@@ -61,12 +61,6 @@ class Recording(FileItems):
 
     Attributes
     ----------
-    times
-        (n,) times of the volumes, in s.
-    skipped
-        Number of volumes left out: marked as invalid, or without a pose or a time in order.
-    notes
-        What a person should know about how the file was read, each a sentence.
     posed
         Whether the file contains the probe's poses.
     settings

@@ -1,13 +1,14 @@
 """Normalized cross-correlation, which finds a smaller array in a larger one."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.fft import irfftn, next_fast_len, rfftn
 from scipy.ndimage import maximum_filter
 
-from sonoservo.systems.signals.immutable import Immutable, NotFound, read_only
+from sonoservo.systems.signals.immutable import Immutable, NotFound, Shape, read_only
 from sonoservo.systems.signals.requirements import require
 
 _MIN_ENERGY = {np.dtype(np.float32): 1e-6, np.dtype(np.float64): 1e-12}
@@ -26,12 +27,9 @@ class Match(Immutable):
     best match is the first or the last one that fits: a better one may lie beyond.
     """
 
-    position: NDArray[np.float64]
+    position: Annotated[NDArray[np.float64], Shape(None)]
     correlation: float
     at_border: NDArray[np.bool_]
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "position", read_only(self.position, "position", (None,)))
 
 
 def normalized_cross_correlation(search: ArrayLike, kernel: ArrayLike) -> NDArray[np.floating]:

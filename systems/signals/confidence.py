@@ -1,7 +1,10 @@
 """Quantiles of normal distributions in space and in a plane."""
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 from scipy.special import gammaincinv
+
+from sonoservo.systems.signals.requirements import require
 
 
 def squared_distance(probability: float, freedom: int) -> float:
@@ -11,6 +14,20 @@ def squared_distance(probability: float, freedom: int) -> float:
     module `scipy.stats` would take a third of a second to load.
     """
     return 2.0 * float(gammaincinv(0.5 * freedom, probability))
+
+
+def confidence_ellipsoid(
+    covariance: ArrayLike, probability: float = 0.95
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the (3, 3) rotation to an ellipsoid of confidence, and its half axes in m.
+
+    It holds a share of a normal distribution with a (3, 3) covariance in m^2.
+    """
+    require(0 < probability < 1, "probability", probability, "between 0 and 1")
+    variances, axes = np.linalg.eigh(np.asarray(covariance, dtype=float))
+    if np.linalg.det(axes) < 0:
+        axes = axes * [1, 1, -1]
+    return axes, np.sqrt(np.maximum(variances, 0) * squared_distance(probability, 3))
 
 
 SQUARED_DISTANCE_95 = squared_distance(0.95, 2)

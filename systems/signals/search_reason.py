@@ -11,7 +11,7 @@ from enum import Enum
 from typing import Self
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Search:
     """What is said about a kind of reason."""
 
@@ -19,12 +19,12 @@ class _Search:
     """Beginning of the sentences of this kind, which may go on with figures."""
 
     words: str
-    """The same in a few words."""
+    """The same in a few words, without figures."""
 
-    run: str
-    """What to change in a scenario; may be empty."""
+    run_advice: str = ""
+    """What to change in a scenario so that the needle is found; may be empty."""
 
-    track: str
+    track_advice: str = ""
     """What to change with volumes of one's own; may be empty."""
 
 
@@ -40,60 +40,63 @@ _LONGER = "let the run be longer (duration)"
 _ANYWHERE = "look for it in whole volumes (--start anywhere)"
 
 
-class SearchReason(Enum):
+class SearchReason(_Search, Enum):
     """Kinds of reasons for which there is no needle in a volume."""
 
-    NO_VOLUME = _Search("no volume", "there is no volume", _LONGER, "record volumes")
-    NO_SWEEP = _Search("no sweep", "there is no volume", _LONGER, "record volumes")
-    NOTHING_EARLIER = _Search(
+    NO_VOLUME = ("no volume", "there is no volume", _LONGER, "record volumes")
+    NO_SWEEP = ("no sweep", "there is no volume", _LONGER, "record volumes")
+    NOTHING_EARLIER = (
         "there is no earlier volume",
         "there is nothing to compare with yet",
         "let the run be longer (duration) or the hand start later (hand.start)",
         f"record some seconds before the needle is pushed in, or {_ANYWHERE}",
     )
-    OTHER_SETTINGS = _Search(
+    OTHER_SETTINGS = (
         "the previous volume",
         "the scanner's settings have changed",
         "keep the scanner's settings (imaging) while the tracker searches",
         "keep the scanner's settings while the tracker searches",
     )
-    NOTHING_CHANGES = _Search(
+    NOTHING_CHANGES = (
         "nothing changed",
         "nothing changes",
         "push the needle into view (hand.pushes, hand.aim), or make its echo brighter "
         "(scanner.needle)",
         f"push the needle in while volumes are recorded, or {_ANYWHERE}",
     )
-    SPREAD = _Search(
+    SPREAD = (
         "the change is spread",
         "too much changes at once",
         "push the needle more slowly (hand.pushes), or look for it in whole volumes: "
         "tracker.start=anywhere",
         f"push the needle more slowly, keep tissue and probe still, or {_ANYWHERE}",
     )
-    INSIDE = _Search(
+    INSIDE = (
         "the change lies",
         "the change is far inside the image",
         "let the needle come in from the side of the image, or look for it in whole volumes: "
         "tracker.start=anywhere",
         f"let the needle come in from the side of the image, or {_ANYWHERE}",
     )
-    MOTION_UNCONFIRMED = _Search(
+    MOTION_UNCONFIRMED = (
         "something moved",
         "something moved, and is not confirmed yet",
         "push the needle further in or more slowly (hand.pushes), or raise imaging.volume_rate",
         "push the needle further in or more slowly, or record more volumes a second",
     )
-    UNCERTAIN = _Search(
+    UNCERTAIN = (
         "no line is a needle with certainty",
         "no line is a needle with certainty yet",
         "let the run be longer (duration), or push the needle further into view (hand.pushes)",
         "record more volumes; one sweep over the needle is not enough, three are",
     )
-    NOT_DETECTED = _Search(
-        "no needle has been", "no needle has been detected", _FAINT, f"{_UNSEEN} Or {_ANYWHERE}"
+    NOT_DETECTED = (
+        "no needle has been",
+        "no needle has been detected",
+        _FAINT,
+        f"{_UNSEEN} Or {_ANYWHERE}",
     )
-    THERE_BEFORE = _Search(
+    THERE_BEFORE = (
         "the line most like a needle was there",
         "the line most like a needle was there before",
         "push the needle into view while the probe looks on, or take any line that looks like one: "
@@ -101,62 +104,44 @@ class SearchReason(Enum):
         "record from before the needle comes in, or take any line that looks like one "
         "(--start anywhere)",
     )
-    RIDES = _Search(
+    RIDES = (
         "the line most like a needle moves along",
         "the line most like a needle moves along with the probe",
         _FAINT,
         _UNSEEN,
     )
-    APPEARED = _Search(
+    APPEARED = (
         "the line most like a needle appeared",
         "the line most like a needle appeared at once",
         "push the needle more slowly (hand.pushes), or raise imaging.volume_rate",
         "push the needle more slowly, or record more volumes a second",
     )
-    NO_BRIGHT_LINE = _Search(
-        "no bright line", "no bright line comes in from the side", _FAINT, _UNSEEN
+    NO_BRIGHT_LINE = ("no bright line", "no bright line comes in from the side", _FAINT, _UNSEEN)
+    NO_LINE = ("no line", "no line stands out as a needle does", _FAINT, _UNSEEN)
+    NOT_AS_EXPECTED = ("none of", "nothing lies where the needle is expected", _FAINT, _UNSEEN)
+    NOTHING_ALONG = ("nothing along", "no needle stands out along its line", _FAINT, _UNSEEN)
+    HARDLY_SEEN = ("only", "too little of the needle is seen", _FAINT, _UNSEEN)
+    OFF_PREDICTION = (
+        "the measurement is",
+        "what is found lies far from the prediction",
+        _FAINT,
+        _UNSEEN,
     )
-    NO_LINE = _Search("no line", "no line stands out as a needle does", _FAINT, _UNSEEN)
-    NOT_AS_EXPECTED = _Search(
-        "none of", "nothing lies where the needle is expected", _FAINT, _UNSEEN
-    )
-    NOTHING_ALONG = _Search("nothing along", "no needle stands out along its line", _FAINT, _UNSEEN)
-    HARDLY_SEEN = _Search("only", "too little of the needle is seen", _FAINT, _UNSEEN)
-    OFF_PREDICTION = _Search(
-        "the measurement is", "what is found lies far from the prediction", _FAINT, _UNSEEN
-    )
-    OUT_OF_VIEW = _Search(
-        "the predicted needle lies outside", "the needle has left the view", "", ""
-    )
-    NOT_ALIKE = _Search("the line found", "the line found is like no needle", _FAINT, _UNSEEN)
-    WITHDRAWN = _Search("the needle was withdrawn", "the needle was withdrawn", "", "")
-    TRACKED = _Search("a needle is being tracked", "a needle is being tracked", "", "")
-
-    @property
-    def words(self) -> str:
-        """The reason in a few words without figures."""
-        return self.value.words
-
-    @property
-    def run_advice(self) -> str:
-        """What to change in a scenario so that the needle is found; may be empty."""
-        return self.value.run
-
-    @property
-    def track_advice(self) -> str:
-        """What to change with volumes of one's own; may be empty."""
-        return self.value.track
+    OUT_OF_VIEW = ("the predicted needle lies outside", "the needle has left the view")
+    NOT_ALIKE = ("the line found", "the line found is like no needle", _FAINT, _UNSEEN)
+    WITHDRAWN = ("the needle was withdrawn", "the needle was withdrawn")
+    TRACKED = ("a needle is being tracked", "a needle is being tracked")
 
     def __call__(self, rest: str = "") -> "Reason":
         """Return the reason as a sentence that goes on with its figures."""
-        return Reason(self, f"{self.value.begins}{rest}")
+        return Reason(self, f"{self.begins}{rest}")
 
     @classmethod
     def of(cls, text: str) -> "SearchReason | None":
         """Return the kind of a reason: its own, or that of a sentence from a log; None if none."""
         if isinstance(text, Reason):
             return text.kind
-        return next((each for each in cls if text.startswith(each.value.begins)), None)
+        return next((each for each in cls if text.startswith(each.begins)), None)
 
 
 class Reason(str):

@@ -41,34 +41,33 @@ class SweepGeometry(Immutable):
     If both radii are zero, the sector starts from a single point.
 
     Frames are numbered towards +Z for either direction of the motor.
-
-    Parameters
-    ----------
-    array_radius, motor_radius
-        Distances from the face to the array's centre of curvature and to the motor's axis, in m.
-    line_pitch, frame_pitch
-        Angles between neighbouring lines and frames, in rad.
-    sample_pitch
-        Distance between neighbouring samples of a line, in m.
-    lines, frames, samples
-        Numbers of lines in a frame, frames in a sweep (1 for a single slice), and samples in a
-        line.
-    frame_period
-        Time between the starts of successive frames, in s.
-    sound_speed
-        Speed of sound, in m/s.
     """
 
     array_radius: NotNegative
     motor_radius: NotNegative
+    """Distances from the face to the array's centre of curvature and to the motor's axis, in m."""
+
     line_pitch: Positive
     frame_pitch: Positive
+    """Angles between neighbouring lines and frames, in rad."""
+
     sample_pitch: Positive
+    """Distance between neighbouring samples of a line, in m."""
+
     lines: Annotated[int, at_least(2)]
+    """Number of lines in a frame."""
+
     frames: Annotated[int, at_least(1)]
+    """Number of frames in a sweep; 1 for a single slice."""
+
     samples: Annotated[int, at_least(2)]
+    """Number of samples in a line."""
+
     frame_period: Positive
+    """Time between the starts of successive frames, in s."""
+
     sound_speed: Positive = 1540.0
+    """Speed of sound, in m/s."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

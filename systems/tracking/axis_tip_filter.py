@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 from filterpy.kalman import predict, update
@@ -11,7 +11,7 @@ from pydrake.math import RigidTransform
 from scipy.spatial.transform import Rotation
 
 from sonoservo.systems.signals.confidence import squared_distance
-from sonoservo.systems.signals.immutable import Immutable, read_only
+from sonoservo.systems.signals.immutable import Immutable, Matrix3, Shape, Vector3
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
 from sonoservo.systems.signals.requirements import (
@@ -48,17 +48,11 @@ class AxisTipState(Immutable):
     """
 
     time: float
-    frame: NDArray[np.float64]
-    tip: NDArray[np.float64]
-    tip_velocity: NDArray[np.float64]
+    frame: Matrix3
+    tip: Vector3
+    tip_velocity: Vector3
     length: float
-    P: NDArray[np.float64]
-
-    def __post_init__(self) -> None:
-        for name, shape in (
-            ("frame", (3, 3)), ("tip", (3,)), ("tip_velocity", (3,)), ("P", (8, 8))
-        ):  # fmt: skip
-            object.__setattr__(self, name, read_only(getattr(self, name), name, shape))
+    P: Annotated[NDArray[np.float64], Shape(8, 8)]
 
     @property
     def direction(self) -> NDArray[np.float64]:

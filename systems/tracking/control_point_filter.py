@@ -1,14 +1,14 @@
 """Kalman filter on the needle's control points and their velocities."""
 
 from dataclasses import dataclass, field, replace
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 from filterpy.kalman import predict, update
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform
 
-from sonoservo.systems.signals.immutable import Immutable, read_only
+from sonoservo.systems.signals.immutable import Immutable, Shape
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
 from sonoservo.systems.signals.requirements import Positive, check_bounds, require
@@ -31,13 +31,8 @@ class ControlPointState(Immutable):
     """
 
     time: float
-    mean: NDArray[np.float64]
-    covariance: NDArray[np.float64]
-
-    def __post_init__(self) -> None:
-        size = len(self.mean)
-        for name, shape in (("mean", (size,)), ("covariance", (size, size))):
-            object.__setattr__(self, name, read_only(getattr(self, name), name, shape))
+    mean: Annotated[NDArray[np.float64], Shape("n")]
+    covariance: Annotated[NDArray[np.float64], Shape("n", "n")]
 
     @property
     def curve(self) -> NeedleCurve:

@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from filterpy.kalman import predict
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pydrake.math import RigidTransform
 from scipy.spatial.transform import Rotation
 
-from sonoservo.systems.signals.immutable import Immutable, read_only
+from sonoservo.systems.signals.immutable import Immutable, Shape, Vector3
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
 from sonoservo.systems.signals.requirements import Positive, check_bounds, require
@@ -46,20 +46,12 @@ class InteractingState(Immutable):
     """
 
     time: float
-    means: Floats
-    covariances: Floats
-    weights: Floats
-    constant: Floats
+    means: Annotated[Floats, Shape(3, "n")]
+    covariances: Annotated[Floats, Shape(3, "n", "n")]
+    weights: Vector3
+    constant: Annotated[Floats, Shape("m", "m")]
     seen: NeedleMeasurement
-    axis: Floats
-
-    def __post_init__(self) -> None:
-        size = self.means.shape[-1]
-        for name, shape in (
-            ("means", (3, size)), ("covariances", (3, size, size)), ("weights", (3,)),
-            ("constant", (size // 3, size // 3)), ("axis", (3,)),
-        ):  # fmt: skip
-            object.__setattr__(self, name, read_only(getattr(self, name), name, shape))
+    axis: Vector3
 
     @property
     def _size(self) -> int:

@@ -3,12 +3,13 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from sonoservo.systems.signals.immutable import Immutable, read_only
+from sonoservo.systems.signals.immutable import Immutable, Shape
 from sonoservo.systems.signals.volume import Volume
 from sonoservo.systems.tracking.cells import cells_of
 from sonoservo.systems.tracking.line_contrast import (
@@ -45,11 +46,8 @@ class NeedleLine(Immutable):
         volume alone.
     """
 
-    ends: Floats
+    ends: Annotated[Floats, Shape(2, 3)]
     probability: float
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "ends", read_only(self.ends, "ends", (2, 3)))
 
     @property
     def length(self) -> float:

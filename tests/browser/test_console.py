@@ -10,8 +10,7 @@ from synthetic_volumes import Scene, entry_on_side
 from sonoservo.systems.display.colours import MODE_COLOURS
 from sonoservo.systems.display.console.console import Console
 from sonoservo.systems.display.console.controls import controller_controls, operator_controls
-from sonoservo.systems.display.console.history import Frame
-from sonoservo.systems.display.console.readings import Reading, Sample
+from sonoservo.systems.display.console.readings import Frame, Reading, Sample
 from sonoservo.systems.display.console.shape_page import PATHS, ShapePage
 from sonoservo.systems.display.console.slices import SlicePicture, slice_pictures
 from sonoservo.systems.display.pages.site import Site

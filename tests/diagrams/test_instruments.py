@@ -8,7 +8,6 @@ from pydrake.systems.framework import LeafSystem
 from sonoservo.diagrams import load_scenario, make_experiment, run, tracker_events
 from sonoservo.diagrams.assembly import assemble_arm
 from sonoservo.diagrams.scenario import draw_seeds
-from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.robot.errors.calibration import hand_eye_error, joint_offsets
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
@@ -158,24 +157,3 @@ def test_lost_volumes_leave_the_estimate_as_it_was():
     assert 2 <= 16 - len(number) <= 11
     np.testing.assert_allclose(log.volume_seen, (number + 1) / 3.3 + 0.02, atol=1e-5)
     assert len(experiment.compute["render"]) == len(number)
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ("station.pose_delay.delay=-1", "station.pose_delay.delay: -1.0 .* at least 0"),
-        ("station.wrist_sensor.force_bias=.nan", "force_bias: nan"),
-        ("station.calibration.hand_eye_translation=2", "hand_eye_translation: 2.0 .* to 0.1 m"),
-        ("scanner.motor.backlash_deg=-1", "backlash_deg: -1.0"),
-        ("scanner.clock.offset=5", "offset: 5.0 .* from -1 to 1 s"),
-        ("scanner.connection.lost_sweeps=1", "lost_sweeps: 1.0 .* below 1"),
-        (
-            "station.force_noise=1",
-            "station.force_noise: unknown field; did you mean 'station.wrist_sensor.force_noise'",
-        ),
-    ],
-)
-def test_a_dial_out_of_range_is_one_clear_line(change, message):
-    with pytest.raises(ConfigurationError, match=message) as error:
-        scenario(change)
-    assert "\n" not in str(error.value)

@@ -27,18 +27,6 @@ def test_every_scenario_loads_and_says_what_it_is(name):
     assert 20 < len(scenario.description) <= 100
 
 
-def test_paper_scenario_holds_the_published_settings():
-    scenario = load_scenario("chatelain2013_fig5")
-    imaging = scenario.imaging
-    assert imaging.volume_rate == 3.3
-    assert imaging.depth == 0.09
-    assert imaging.frame_pitch_deg == 1.463
-    assert imaging.transmit_frequency == 3.3e6
-    assert imaging.sector == 0.75
-    assert scenario.controller.force.force == 2.0
-    assert abs(scenario.station.probe.yaw_deg - scenario.hand.azimuth_deg) == 40
-
-
 def test_changes_and_seed_are_laid_over_the_file():
     scenario = load_scenario(
         "chatelain2013_fig5", changes=["hand.gauge=22", "hand.pushes.0.speed=0.001"], seed=7
@@ -131,19 +119,11 @@ def test_a_filter_is_chosen_by_name_or_by_its_tracker():
         ("chatelain2013_fig", [], "did you mean 'chatelain2013_fig"),
         ("nowhere.yaml", [], "nowhere.yaml: cannot be read"),
         ("chatelain2013_fig5", ["imaging.volume_rat=3"], "did you mean 'volume_rate'"),
-        ("chatelain2013_fig5", ["imaging.volume_rate=-3"], "imaging.volume_rate: -3.0"),
         ("chatelain2013_fig5", ["imaging.volume_rate=fast"], "imaging.volume_rate: 'fast'"),
-        ("chatelain2013_fig5", ["duration=0"], "duration: 0.0"),
-        ("chatelain2013_fig5", ["station.plant.time_step=10"], "station.plant.time_step: 10.0"),
         (
             "chatelain2013_fig5",
             ["station.time_step=0.01"],
             "station.time_step: unknown field; did you mean 'station.plant.time_step'",
-        ),
-        (
-            "chatelain2013_fig5",
-            ["station.contact_model=point"],
-            "station.contact_model: unknown field; did you mean 'station.plant.contact_model'",
         ),
         (
             "chatelain2013_fig5",
@@ -152,15 +132,8 @@ def test_a_filter_is_chosen_by_name_or_by_its_tracker():
         ),
         ("chatelain2013_fig5", ["station.plant.time_step=fast"], "plant.time_step: 'fast'"),
         ("chatelain2013_fig5", ["seed=-1"], "seed: -1"),
-        (
-            "drive",
-            ["experiment=drive"],
-            "drive: experiment: 'drive' is not allowed; known: following",
-        ),
-        ("drive", ["published={}"], "published: unknown field; did you mean 'published_figures'"),
         ("drive", ["controller_changes=[{force: 0.3}]"], "controller_changes.0.force: 0.3"),
         ("drive", ["controller_changes=[{time: 2}, {time: 1}]"], "must be in order of time"),
-        ("drive", ["hand.pushes=[{turning_deg: 1e4}]"], "hand.pushes.0.turning_deg: 10000.0"),
         ("chatelain2013_fig5", ["name=../../elsewhere"], "name: '../../elsewhere'"),
         ("chatelain2013_fig5", ["hand.azimuth_deg=.nan"], "hand.azimuth_deg: nan"),
         (

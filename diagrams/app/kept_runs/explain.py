@@ -10,12 +10,13 @@ from matplotlib.figure import Figure
 from rich.table import Table
 
 from sonoservo.systems.evaluation.explanation.explained_volume import (
+    AFTER,
+    BEFORE,
     FOLDER,
     ExplainedVolume,
     imaged_needle,
     read_explanations,
 )
-from sonoservo.systems.evaluation.explanation.explanation_recorder import AFTER, BEFORE
 from sonoservo.systems.evaluation.explanation.explanation_sheet import plot_explanation
 from sonoservo.systems.evaluation.log import read_log
 from sonoservo.systems.evaluation.run_errors import estimate_errors

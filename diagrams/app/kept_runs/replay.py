@@ -17,8 +17,7 @@ from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
 from sonoservo.diagrams.scenario import require_scenario
 from sonoservo.systems.control.controller_schedule import ControllerSchedule
 from sonoservo.systems.display.console.controls import Control
-from sonoservo.systems.display.console.history import MINUTE, Frame
-from sonoservo.systems.display.console.readings import Sample, needle_place
+from sonoservo.systems.display.console.readings import MINUTE, Frame, Sample, needle_place
 from sonoservo.systems.display.console.slices import SlicePicture, kept_slice
 from sonoservo.systems.evaluation.reports.track_plots import VolumePictures, read_pictures
 from sonoservo.systems.evaluation.run_errors import at_times

@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Picture
 
 from sonoservo.diagrams.studies.robustness.analysis import Group, Record
-from sonoservo.diagrams.studies.robustness.runs import OURS, PUBLISHED, TRACKERS, ZHAO
+from sonoservo.diagrams.studies.robustness.runs import TRACKERS
 from sonoservo.diagrams.studies.robustness.turned_dials import CLINIC, GRADED
 from sonoservo.diagrams.studies.run_group import Value
 from sonoservo.diagrams.studies.study_report import StudyFigure
@@ -17,7 +17,12 @@ from sonoservo.systems.evaluation.success import KEPT
 Curves = Mapping[str, Sequence[tuple[float, Mapping[str, Group]]]]
 Groups = Mapping[str, Mapping[str, Group]]
 
-_LOOKS = {OURS: (BLUE, "o", -0.03), PUBLISHED: (ORANGE, "s", 0.0), ZHAO: (GREEN, "^", 0.03)}
+_LOOKS = {
+    kind: (colour, marker, 0.03 * (number - 1))
+    for number, (kind, colour, marker) in enumerate(
+        zip(TRACKERS, (BLUE, ORANGE, GREEN, "C3", "C4", "C5"), "os^vDP", strict=False)
+    )
+}
 """Colour, marker and shift along the axis of each tracker, so that equal values stay visible."""
 
 _COLUMNS = 4

@@ -8,7 +8,7 @@ from typing import Any
 
 from sonoservo.diagrams.studies.robustness.analysis import Group, Threshold, chased, threshold
 from sonoservo.diagrams.studies.robustness.plots import study_figures
-from sonoservo.diagrams.studies.robustness.runs import OURS, PUBLISHED, TRACKERS, ZHAO
+from sonoservo.diagrams.studies.robustness.runs import OURS, PUBLISHED, TRACKERS
 from sonoservo.diagrams.studies.robustness.turned_dials import GRADED
 from sonoservo.diagrams.studies.run_group import Value
 from sonoservo.diagrams.studies.study import Outcome
@@ -163,7 +163,7 @@ def _is_shared(outcome: Outcome) -> bool:
 
 
 def _rows(experiment: str, trackers: Mapping[str, Group]) -> list[StudyRow]:
-    """Return the rows of an experiment: ours beside the published tracker, then Zhao's."""
+    """Return the rows of an experiment: ours beside the published tracker, then the others'."""
     figures = [] if "without" in experiment else list(_ERRORS)
     if experiment == "withdrawals":  # a needle that is thrown aside cannot be kept
         figures = [each for each in figures if not each[0].startswith(("kept", "success"))]
@@ -184,12 +184,13 @@ def _rows(experiment: str, trackers: Mapping[str, Group]) -> list[StudyRow]:
 def _compared(
     experiment: str, quantity: str, unit: str, figures: Mapping[str, Value]
 ) -> list[StudyRow]:
-    """Return a row of ours beside the published tracker's figure, and one of Zhao's."""
+    """Return a row of ours beside the published tracker's figure, and one of each other's."""
     ours, published = (figures.get(kind, Value()) for kind in (OURS, PUBLISHED))
-    rows = [StudyRow.of(experiment, quantity, unit, ours, published)]
-    if ZHAO in figures:
-        rows.append(StudyRow.of(experiment, f"{quantity}, {ZHAO}", unit, figures[ZHAO]))
-    return rows
+    others = (kind for kind in TRACKERS[2:] if kind in figures)
+    return [
+        StudyRow.of(experiment, quantity, unit, ours, published),
+        *(StudyRow.of(experiment, f"{quantity}, {kind}", unit, figures[kind]) for kind in others),
+    ]
 
 
 def _moves(group: Group) -> bool:
@@ -228,7 +229,7 @@ TITLE = "Robustness: one dial of the harder world at a time, and all of them in 
 def _notes() -> list[str]:
     """Return the paragraphs of the report."""
     folder = Path(str(files("sonoservo.diagrams.studies.robustness")))
-    text = (folder / "notes.txt").read_text(encoding="utf-8").format(
+    text = (folder / "notes.md").read_text(encoding="utf-8").format(
         found_mm=FOUND_MM, found_deg=FOUND_DEG, kept=100 * KEPT, enough_mm=ENOUGH_MM,
         stands_out_db=STANDS_OUT_DB, success_mm=SUCCESS_MM, success_deg=SUCCESS_DEG,
     )  # fmt: skip

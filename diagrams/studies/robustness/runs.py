@@ -25,7 +25,9 @@ from sonoservo.systems.signals.needle_estimate import TrackingMode
 from sonoservo.systems.signals.volume import Volume
 
 OURS, PUBLISHED, ZHAO = "chatelain2013", "chatelain2013_as_published", "zhao2012"
-TRACKERS = (OURS, PUBLISHED, ZHAO)  # kinds of the trackers that are compared
+TRACKERS = (OURS, PUBLISHED, ZHAO)
+"""Kinds of the trackers that are compared, of which any number may follow the first two."""
+
 SEARCH_START = 5.0  # time in s at which a probe that searches begins to move; it has landed by then
 _SHOWN = 0.5e-3  # length in the image up to which there is no needle to be seen, in m
 

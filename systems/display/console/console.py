@@ -8,10 +8,12 @@ from html import escape
 from typing import TYPE_CHECKING, Any
 
 from sonoservo.systems.display.console.controls import Controls, finite_number
-from sonoservo.systems.display.console.history import Cine, Frame, Strips
 from sonoservo.systems.display.console.probe_view import ProbeView
 from sonoservo.systems.display.console.readings import (
+    Cine,
+    Frame,
     Sample,
+    Strips,
     describe_state,
     needle_readings,
     sample_estimate,

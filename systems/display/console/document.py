@@ -7,13 +7,7 @@ from typing import Any
 
 import numpy as np
 from bokeh.document import Document
-from bokeh.models import (
-    ColumnDataSource,
-    CustomJS,
-    FactorRange,
-    LinearColorMapper,
-    Range1d,
-)
+from bokeh.models import ColumnDataSource, CustomJS, FactorRange, LinearColorMapper, Range1d
 from bokeh.palettes import Greys256
 from bokeh.plotting import figure
 from numpy.typing import NDArray
@@ -28,8 +22,7 @@ from sonoservo.systems.display.colours import (
     UNCERTAINTY,
     hexadecimal,
 )
-from sonoservo.systems.display.console.history import STRIPS, Frame
-from sonoservo.systems.display.console.readings import shown_number
+from sonoservo.systems.display.console.readings import STRIPS, Frame, shown_number
 
 _GROUND, _PLOT, _INK, _GRID = "#10141a", "#0a0d11", "#aeb7c2", "#242c36"
 _FIRST, _SECOND = "#58b4f0", "#f0a35e"
@@ -95,7 +88,7 @@ class PageDocument:
     def __init__(self, document: Document, title: str) -> None:
         self.document = document
         self.link = Link()
-        self._strips = ColumnDataSource({name: [] for name in (*STRIPS, "colour", "begin")})
+        self._strips = _source(*STRIPS, "colour", "begin")
         self._time: float | None = None
         grey = LinearColorMapper(palette=Greys256, low=0, high=255, name="grey")
         roots = (
@@ -162,95 +155,59 @@ class PageDocument:
         plots = {}
         for name, label, lines, least in _LINES:
             low, high = (-0.05, 1.05) if least is None else (-0.5 * least, 0.5 * least)
-            plot = figure(
-                x_range=time, y_range=Range1d(low, high),
-                tools="", toolbar_location=None, sizing_mode="stretch_both", min_border=0,
-                tags=[least],
-            )  # fmt: skip
-            _style(plot)
+            plots[name] = plot = _plot(time, Range1d(low, high), "time (s)", label, tags=[least])
             for column, colour, text in lines:
-                plot.line(
-                    "time", column, source=self._strips, line_color=colour, line_width=1.6,
-                    line_dash="dashed" if column in ("z", "target") else "solid",
-                    **({"legend_label": text} if text else {}),
-                )  # fmt: skip
-            if any(text for *_, text in lines):
+                dash = "dashed" if column in ("z", "target") else "solid"
+                legend = {"legend_label": text} if text else {}
+                plot.line("time", column, source=self._strips, line_color=colour, line_width=1.6,
+                          line_dash=dash, **legend)  # fmt: skip
+            if plot.legend:
                 _style_legend(plot)
-            plot.yaxis.axis_label = label
-            plot.xaxis.axis_label = "time (s)"
             plot.xaxis.visible = False
-            plots[name] = plot
-        modes = figure(
-            x_range=time, y_range=FactorRange(*reversed(_MODES)), tools="", toolbar_location=None,
-            sizing_mode="stretch_both", min_border=0,
-        )  # fmt: skip
-        _style(modes)
+        plots["mode"] = modes = _plot(time, FactorRange(*reversed(_MODES)), "time (s)", None)
         modes.ygrid.visible = False
         modes.hbar(left="begin", right="time", y="mode", source=self._strips, height=0.7,
                    fill_color="colour", line_color="colour")  # fmt: skip
-        modes.xaxis.axis_label = "time (s)"
-        plots["mode"] = modes
-        for plot in plots.values():
-            plot.min_border_left = 62
-            plot.min_border_right = 8
         return plots
 
 
 def _slice_figure(grey: LinearColorMapper) -> Any:
-    plot = figure(
-        x_range=Range1d(-50, 50),
-        y_range=Range1d(80, 0),
-        tools="", toolbar_location=None, sizing_mode="stretch_both", min_border=0,
-    )  # fmt: skip
-    _style(plot)
+    plot = _plot(Range1d(-50, 50), Range1d(80, 0), None, None)
+    plot.min_border_left = plot.min_border_right = None
     plot.background_fill_color = "#000000"
     plot.grid.visible = False
-    image = ColumnDataSource({name: [] for name in ("image", "x", "y", "dw", "dh")})
-    plot.image(source=image, color_mapper=grey)
-    rails = ColumnDataSource({"xs": [], "ys": []})
-    plot.multi_line("xs", "ys", source=rails, line_width=2, name="rails")
-    tip = ColumnDataSource({"x": [], "y": []})
-    plot.circle(
-        "x", "y", radius=_RING, source=tip, fill_color=None, line_width=2, name="ring"
-    )  # fmt: skip
-    lines = ColumnDataSource({"xs": [], "ys": [], "colour": []})
-    plot.multi_line("xs", "ys", source=lines, line_color="colour", line_width=1.5,
-                    line_alpha=0.8, name="lines")  # fmt: skip
+    plot.image(source=_source("image", "x", "y", "dw", "dh"), color_mapper=grey)
+    plot.multi_line("xs", "ys", source=_source("xs", "ys"), line_width=2, name="rails")
+    plot.circle("x", "y", radius=_RING, source=_source("x", "y"), fill_color=None, line_width=2,
+                name="ring")  # fmt: skip
+    plot.multi_line("xs", "ys", source=_source("xs", "ys", "colour"), line_color="colour",
+                    line_width=1.5, line_alpha=0.8, name="lines")  # fmt: skip
     return plot
 
 
 def _chart_figures() -> dict[str, Any]:
     """Return the charts of a needle's deflection over its depth, which share their axes."""
     depth, deflection = Range1d(0, 100), Range1d(-2, 2)
-    true, predicted = hexadecimal(STEEL), _COLOURS["tracking"]
-    found = hexadecimal(CROSS_SECTION)
     plots = {}
     for name, axis in CHARTS.items():
-        plot = figure(
-            x_range=depth, y_range=deflection, tools="", toolbar_location=None,
-            sizing_mode="stretch_both", min_border=0,
-        )  # fmt: skip
-        _style(plot)
-        path, seen, needle = (
-            ColumnDataSource({column: [] for column in columns})
-            for columns in (
-                ("depth", axis, f"{axis}_low", f"{axis}_high"), ("depth", axis), ("depth", axis),
-            )
-        )  # fmt: skip
+        label = f"deflection {axis.upper()} (mm)"
+        plots[name] = plot = _plot(depth, deflection, "depth (mm)", label)
+        path = _source("depth", axis, f"{axis}_low", f"{axis}_high")
         plot.varea("depth", f"{axis}_low", f"{axis}_high", source=path, fill_alpha=0.35,
                    fill_color=hexadecimal(FORCE), name="path", legend_label="95 %")  # fmt: skip
-        plot.line("depth", axis, source=path, line_color=predicted, line_width=2,
+        plot.line("depth", axis, source=path, line_color=_COLOURS["tracking"], line_width=2,
                   legend_label="predicted")  # fmt: skip
-        plot.scatter("depth", axis, source=seen, size=3, line_color=None, fill_color=found,
-                     name="found", legend_label="found")  # fmt: skip
-        plot.line("depth", axis, source=needle, line_color=true, line_width=2, line_dash="dashed",
-                  name="true", legend_label="true")  # fmt: skip
+        plot.scatter("depth", axis, source=_source("depth", axis), size=3, line_color=None,
+                     fill_color=hexadecimal(CROSS_SECTION), name="found",
+                     legend_label="found")  # fmt: skip
+        plot.line("depth", axis, source=_source("depth", axis), line_color=hexadecimal(STEEL),
+                  line_width=2, line_dash="dashed", name="true", legend_label="true")  # fmt: skip
         _style_legend(plot)
-        plot.yaxis.axis_label = f"deflection {axis.upper()} (mm)"
-        plot.xaxis.axis_label = "depth (mm)"
-        plot.min_border_left, plot.min_border_right = 62, 8
-        plots[name] = plot
     return plots
+
+
+def _source(*columns: str) -> ColumnDataSource:
+    return ColumnDataSource({column: [] for column in columns})
 
 
 def page_template() -> str:
@@ -290,10 +247,15 @@ def _describe_frame(frame: Frame) -> tuple[dict[str, Any], list[NDArray[np.uint8
     return words, [picture.grey for picture in frame.pictures[:2] if picture is not None]
 
 
-def _style(plot: Any) -> None:
+def _plot(x: Any, y: Any, x_label: str | None, y_label: str | None, **more: Any) -> Any:
+    """Return an empty figure over two ranges, in the style of the page."""
+    plot = figure(x_range=x, y_range=y, tools="", toolbar_location=None, min_border=0,
+                  sizing_mode="stretch_both", **more)  # fmt: skip
+    plot.min_border_left, plot.min_border_right = 62, 8
     plot.background_fill_color, plot.border_fill_color = _PLOT, _GROUND
     plot.outline_line_color = _GRID
     plot.grid.grid_line_color = _GRID
+    plot.xaxis.axis_label, plot.yaxis.axis_label = x_label, y_label
     for axis in plot.axis:
         axis.axis_line_color = axis.major_tick_line_color = _GRID
         axis.minor_tick_line_color = None
@@ -302,6 +264,7 @@ def _style(plot: Any) -> None:
         axis.axis_label_text_font_style = "normal"
         axis.axis_label_standoff = 3
         axis.major_label_standoff = 3
+    return plot
 
 
 def _style_legend(plot: Any) -> None:

@@ -7,8 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform
 
-from sonoservo.systems.display.console.history import Frame
-from sonoservo.systems.display.console.readings import Reading, Sample
+from sonoservo.systems.display.console.readings import Frame, Reading, Sample
 from sonoservo.systems.display.console.slices import SlicePicture
 from sonoservo.systems.display.shape_view import ShapeSight
 from sonoservo.systems.signals.confidence import RADIUS_95

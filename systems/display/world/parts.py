@@ -12,8 +12,7 @@ from pydrake.math import RigidTransform, RotationMatrix
 from sonoservo.systems.display.colours import FORCE, rgba
 from sonoservo.systems.display.shapes import resample, segment_pose
 from sonoservo.systems.display.textured_quads import draw_picture, gltf_mesh, text_image
-from sonoservo.systems.signals.confidence import squared_distance
-from sonoservo.systems.signals.requirements import require
+from sonoservo.systems.signals.confidence import confidence_ellipsoid
 
 
 class Switch:
@@ -172,21 +171,6 @@ class Film:
         self._kept, self._newest = self._kept + 1, time
 
 
-def confidence_ellipsoid(
-    covariance: ArrayLike, probability: float = 0.95
-) -> tuple[RotationMatrix, NDArray[np.float64]]:
-    """Return half axes in m, rotation and centre of an ellipsoid of confidence.
-
-    It holds a share of a normal distribution with a (3, 3) covariance in m^2.
-    """
-    require(0 < probability < 1, "probability", probability, "between 0 and 1")
-    variances, axes = np.linalg.eigh(np.asarray(covariance, dtype=float))
-    if np.linalg.det(axes) < 0:
-        axes = axes * [1, 1, -1]
-    half_axes = np.sqrt(np.maximum(variances, 0) * squared_distance(probability, 3))
-    return RotationMatrix(axes), half_axes
-
-
 class EllipsoidView:
     """An ellipsoid of uncertainty in Meshcat, posed and stretched."""
 
@@ -201,8 +185,8 @@ class EllipsoidView:
     def show(self, centre: ArrayLike, covariance: ArrayLike, time: float) -> None:
         """Show the 95 % ellipsoid of a mean in m and a (3, 3) covariance in m^2, both in W."""
         R, half_axes = confidence_ellipsoid(covariance)
-        position = np.asarray(centre, dtype=float)
-        self._meshcat.SetTransform(self._path, RigidTransform(R, position), time)
+        X = RigidTransform(RotationMatrix(R), np.asarray(centre, dtype=float))
+        self._meshcat.SetTransform(self._path, X, time)
         scale = np.maximum(half_axes, 1e-6).tolist()
         self._meshcat.SetProperty(f"{self._path}/unit", "scale", scale, time)
         self._switch.set(True, time)

@@ -30,16 +30,18 @@ from sonoservo.systems.display.world.parts import (
 )
 from sonoservo.systems.signals.guard_status import GuardStatus
 from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.leaves import declare_looks
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
 from sonoservo.systems.signals.planes import sample_sector, slice_planes
-from sonoservo.systems.signals.ports import declare_inputs, evaluate
+from sonoservo.systems.signals.ports import declare_inputs, evaluate, evaluate_optional
 from sonoservo.systems.signals.requirements import (
+    Bounded,
     NotNegative,
+    Point,
     Positive,
     at_least,
-    check_bounds,
-    require,
+    between,
 )
 from sonoservo.systems.signals.search_reason import SearchReason
 from sonoservo.systems.signals.sweep import SweepGeometry
@@ -55,7 +57,7 @@ _BESIDE = 0.045
 
 
 @dataclass(kw_only=True)
-class WorldViewParameters:
+class WorldViewParameters(Bounded):
     """Parameters of the world view.
 
     Parameters
@@ -84,17 +86,10 @@ class WorldViewParameters:
     film_frames: Annotated[int, at_least(0)] = 0
     film_period: NotNegative = 0.2
     needle_length: Positive = 0.15
-    camera: list[float] = field(default_factory=lambda: [0.86, -0.54, 0.40])
-    camera_target: list[float] = field(default_factory=lambda: [0.46, -0.02, 0.22])
-    field_of_view_deg: float = 42.0
-    phase_position: list[float] = field(default_factory=lambda: [0.60, 0.09, 0.34])
-
-    def __post_init__(self) -> None:
-        check_bounds(self)
-        for name in ("phase_position", "camera", "camera_target"):
-            require(len(getattr(self, name)) == 3, name, getattr(self, name), "three numbers")
-        angle = self.field_of_view_deg
-        require(0 < angle < 180, "field_of_view_deg", angle, "between 0 and 180")
+    camera: Point = field(default_factory=lambda: [0.86, -0.54, 0.40])
+    camera_target: Point = field(default_factory=lambda: [0.46, -0.02, 0.22])
+    field_of_view_deg: Annotated[float, between(0, 180)] = 42.0
+    phase_position: Point = field(default_factory=lambda: [0.565, 0.063, 0.34])
 
 
 class WorldView(LeafSystem):
@@ -161,11 +156,10 @@ class WorldView(LeafSystem):
         )
         self.DeclareVectorInputPort("contact_force", 1)
         self._start()
-        self.DeclareInitializationPublishEvent(publish=lambda context: self._start())
-        self.DeclarePeriodicPublishEvent(self._parameters.publish_period, 0.0, self._publish)
-        self.DeclareForcedPublishEvent(self._publish)
+        period = self._parameters.publish_period
+        declare_looks(self, self._publish, period=period, start=self._start)
 
-    def _start(self) -> None:
+    def _start(self, context: Context | None = None) -> None:
         meshcat, path, parameters = self._meshcat, self._path, self._parameters
         for layer in _LAYERS:
             meshcat.Delete(f"{path}/{layer}")
@@ -177,7 +171,7 @@ class WorldView(LeafSystem):
             frames=parameters.film_frames, period=parameters.film_period,
         )  # fmt: skip
         R = facing(parameters.camera, parameters.camera_target)
-        self._phase = Label(meshcat=meshcat, path=f"{path}/phase", height=0.04, width=_SIGN)
+        self._phase = Label(meshcat=meshcat, path=f"{path}/phase", height=0.03, width=_SIGN)
         self._reason = Label(meshcat=meshcat, path=f"{path}/phase/reason", height=0.03, width=_SIGN)
         meshcat.SetTransform(f"{path}/phase/reason", RigidTransform([0.0, 0.04, 0.0]))
         X_WPhase = RigidTransform(R, np.array(parameters.phase_position))
@@ -201,27 +195,22 @@ class WorldView(LeafSystem):
         X_WP = evaluate(self, context, "X_WP", RigidTransform)
         X_WT = evaluate(self, context, "X_WT", RigidTransform)
         self._meshcat.SetTransform(f"{self._path}/sector", X_WP, time)
-        if self._connected(context, "needle"):
-            needle = evaluate(self, context, "needle", Needle)
+        if (needle := evaluate_optional(self, context, "needle", Needle)) is not None:
             if self._needle is None:
                 self._needle = NeedleView(
                     meshcat=self._meshcat, path=f"{self._path}/needle",
                     length=self._parameters.needle_length, radius=needle.radius,
                 )  # fmt: skip
             self._needle.draw(needle, X_WT, time)
-        if self._connected(context, "contact_force"):
-            force = float(evaluate(self, context, "contact_force", np.ndarray)[0])
+        force = evaluate_optional(self, context, "contact_force", np.ndarray)
+        if force is not None:
             point = X_WP.translation() + _BESIDE * self._right
-            self._force.show(force, point, X_WT.rotation().col(2), time)
-        estimate = None
-        if self._connected(context, "estimate"):
-            estimate = evaluate(self, context, "estimate", NeedleEstimate)
+            self._force.show(float(force[0]), point, X_WT.rotation().col(2), time)
+        estimate = evaluate_optional(self, context, "estimate", NeedleEstimate)
+        if estimate is not None:
             self._draw_estimate(estimate, time)
         self._draw_phase(context, estimate)
         self._draw_volume(context, estimate)
-
-    def _connected(self, context: Context, port: str) -> bool:
-        return self.GetInputPort(port).HasValue(context)
 
     def _draw_estimate(self, estimate: NeedleEstimate, time: float) -> None:
         if estimate is self._drawn:
@@ -238,12 +227,10 @@ class WorldView(LeafSystem):
 
     def _draw_phase(self, context: Context, estimate: NeedleEstimate | None) -> None:
         time = context.get_time()
-        if self._connected(context, "guard"):
-            guard = evaluate(self, context, "guard", GuardStatus)
-            if guard.stopped:
-                self._phase.show(f"stopped: {guard.reason}", time, ink(STOPPED), STOPPED)
-                return
-        if estimate is not None:
+        guard = evaluate_optional(self, context, "guard", GuardStatus)
+        if guard is not None and guard.stopped:
+            self._phase.show(f"stopped: {guard.reason}", time, ink(STOPPED), STOPPED)
+        elif estimate is not None:
             colour = MODE_COLOURS[estimate.mode]
             seen = estimate.volume_time > -np.inf
             self._phase.show(estimate.mode if seen else _WAITING, time, ink(colour), colour)
@@ -254,9 +241,7 @@ class WorldView(LeafSystem):
         # the display alone.
         if estimate is not None and estimate.volume_time <= self._sliced:
             return
-        if not self._connected(context, "volume"):
-            return
-        volume = evaluate(self, context, "volume", (Volume, NotFound))
+        volume = evaluate_optional(self, context, "volume", (Volume, NotFound))
         if not isinstance(volume, Volume) or volume.time <= self._sliced:
             return
         self._sliced = volume.time

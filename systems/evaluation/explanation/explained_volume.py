@@ -1,25 +1,38 @@
-"""Record of a tracker's search in one volume, in the form stored in a file."""
+"""Record of a tracker's search in a volume, and the leaf that keeps those around a loss."""
 
-from dataclasses import astuple, dataclass
+from collections import deque
+from dataclasses import astuple, dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, get_type_hints
+from typing import Any, NamedTuple, get_type_hints
 
 import numpy as np
 from pydrake.math import RigidTransform
+from pydrake.systems.framework import Context, LeafSystem
 
-from sonoservo.systems.evaluation.log import Array, Column, Log, columns, read_log, write_log
+from sonoservo.systems.evaluation.log import (
+    Array,
+    Log,
+    column,
+    columns,
+    read_log,
+    write_log,
+)
 from sonoservo.systems.evaluation.run_errors import at_times
 from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.signals.acquisition import acquired_from
+from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.leaves import declare_looks, declare_memory
 from sonoservo.systems.signals.localization_explanation import (
     LocalizationAttempt,
     LocalizationExplanation,
 )
 from sonoservo.systems.signals.needle_curve import NeedleCurve
-from sonoservo.systems.signals.needle_estimate import NeedleEstimate
+from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
 from sonoservo.systems.signals.needle_prediction import NeedlePrediction
 from sonoservo.systems.signals.planes import sample_plane, slice_planes
+from sonoservo.systems.signals.ports import declare_inputs, evaluate, evaluate_optional
+from sonoservo.systems.signals.requirements import require, require_positive
 from sonoservo.systems.signals.sweep import SweepGeometry, SweepMotion
 from sonoservo.systems.signals.volume import Volume
 
@@ -35,83 +48,76 @@ class ExplainedVolume(Log):
     NaN.
     """
 
-    volume_time: Annotated[Array, Column("middle of the volume's acquisition", "s", ())]
-    occasion: Annotated[Array, Column("why the volume was kept", "", (), "U")]
-    mode_before: Annotated[Array, Column("mode of the tracker before it", "", (), "U")]
-    mode_after: Annotated[Array, Column("mode of the tracker after it", "", (), "U")]
-    reason: Annotated[Array, Column("why it did not confirm the needle", "", (), "U")]
-    attempt_reasons: Annotated[
-        Array, Column("why each search failed; empty where it did not", "", ("t",), "U")
-    ]
+    volume_time: Array = column("middle of the volume's acquisition", "s")
+    occasion: Array = column("why the volume was kept", "", "", "U")
+    mode_before: Array = column("mode of the tracker before it", "", "", "U")
+    mode_after: Array = column("mode of the tracker after it", "", "", "U")
+    reason: Array = column("why it did not confirm the needle", "", "", "U")
+    attempt_reasons: Array = column("why each search failed; empty where it did not", "", "t", "U")
 
-    X_WP: Annotated[Array, Column("pose of the probe at the volume's time", "m", (4, 4))]
-    frame_times: Annotated[Array, Column("time of each frame, if known", "s", ("f",))]
-    frame_X_WP: Annotated[Array, Column("pose of the probe at each frame", "m", ("f", 4, 4))]
-    direction: Annotated[Array, Column("+1 if the sweep went towards +Z, -1 if not", "", ())]
-    geometry: Annotated[Array, Column("fields of the `SweepGeometry`", "SI", (10,))]
+    X_WP: Array = column("pose of the probe at the volume's time", "m", "4 4")
+    frame_times: Array = column("time of each frame, if known", "s", "f")
+    frame_X_WP: Array = column("pose of the probe at each frame", "m", "f 4 4")
+    direction: Array = column("+1 if the sweep went towards +Z, -1 if not", "")
+    geometry: Array = column("fields of the `SweepGeometry`", "SI", "10")
 
-    before_time: Annotated[Array, Column("time of the estimate before", "s", ())]
-    before: Annotated[Array, Column("control points of the estimate before", "m", ("b", 3))]
-    after_time: Annotated[Array, Column("time of the estimate after", "s", ())]
-    after: Annotated[Array, Column("control points of the estimate after", "m", ("a", 3))]
-    predicted: Annotated[Array, Column("control points expected in the volume", "m", ("p", 3))]
-    measured_time: Annotated[Array, Column("time of the measured tip", "s", ())]
-    measured: Annotated[Array, Column("control points measured in the volume", "m", ("q", 3))]
-    measured_tip_covariance: Annotated[Array, Column("covariance of its tip", "m^2", (3, 3))]
-    innovation: Annotated[
-        Array, Column("Mahalanobis distance of the measurement from the prediction", "", ())
-    ]
-    gate: Annotated[Array, Column("largest such distance that is believed", "", ())]
+    before_time: Array = column("time of the estimate before", "s")
+    before: Array = column("control points of the estimate before", "m", "b 3")
+    after_time: Array = column("time of the estimate after", "s")
+    after: Array = column("control points of the estimate after", "m", "a 3")
+    predicted: Array = column("control points expected in the volume", "m", "p 3")
+    measured_time: Array = column("time of the measured tip", "s")
+    measured: Array = column("control points measured in the volume", "m", "q 3")
+    measured_tip_covariance: Array = column("covariance of its tip", "m^2", "3 3")
+    innovation: Array = column("Mahalanobis distance of the measurement from the prediction", "")
+    gate: Array = column("largest such distance that is believed", "")
 
-    region: Annotated[Array, Column("control points of the region's axis", "m", ("r", 3))]
-    region_radius: Annotated[Array, Column("radius of the region", "m", ())]
-    region_before: Annotated[Array, Column("reach of the region before its axis", "m", ())]
-    region_beyond: Annotated[Array, Column("reach of the candidates beyond it", "m", ())]
-    candidates: Annotated[Array, Column("candidate voxels", "m", ("c", 3), "f4")]
-    weights: Annotated[Array, Column("their weights", "", ("c",), "f4")]
-    inliers: Annotated[Array, Column("whether each belongs to the consensus", "", ("c",), "?")]
-    profile: Annotated[Array, Column("samples of the profile along the axis", "m", ("k", 3))]
-    profile_a: Annotated[Array, Column("their abscissae", "m", ("k",))]
-    profile_level: Annotated[Array, Column("intensity along the axis", "dB", ("k",))]
-    profile_background: Annotated[Array, Column("intensity beside it", "dB", ("k",))]
-    profile_seen: Annotated[Array, Column("whether the volume shows it", "", ("k",), "?")]
-    contrast: Annotated[Array, Column("threshold of the level over the background", "dB", ())]
-    start: Annotated[Array, Column("abscissa of the needle's visible start", "m", ())]
-    tip: Annotated[Array, Column("abscissa of its tip", "m", ())]
-    tip_seen: Annotated[Array, Column("probability that the tip is seen", "", ())]
-    leaves: Annotated[
-        Array, Column("whether it goes on beyond what was searched or seen", "", (), "?")
-    ]
+    region: Array = column("control points of the region's axis", "m", "r 3")
+    region_radius: Array = column("radius of the region", "m")
+    region_before: Array = column("reach of the region before its axis", "m")
+    region_beyond: Array = column("reach of the candidates beyond it", "m")
+    candidates: Array = column("candidate voxels", "m", "c 3", "f4")
+    weights: Array = column("their weights", "", "c", "f4")
+    inliers: Array = column("whether each belongs to the consensus", "", "c", "?")
+    profile: Array = column("samples of the profile along the axis", "m", "k 3")
+    profile_a: Array = column("their abscissae", "m", "k")
+    profile_level: Array = column("intensity along the axis", "dB", "k")
+    profile_background: Array = column("intensity beside it", "dB", "k")
+    profile_seen: Array = column("whether the volume shows it", "", "k", "?")
+    contrast: Array = column("threshold of the level over the background", "dB")
+    start: Array = column("abscissa of the needle's visible start", "m")
+    tip: Array = column("abscissa of its tip", "m")
+    tip_seen: Array = column("probability that the tip is seen", "")
+    leaves: Array = column("whether it goes on beyond what was searched or seen", "", "", "?")
 
-    sliced: Annotated[
-        Array, Column("curve in the slices: measured, predicted, estimated, or none", "", (), "U")
-    ]
-    slice_origin: Annotated[Array, Column("its tip in P; zero without one", "m", (3,))]
-    beam_slice: Annotated[Array, Column("slice along needle and beam", "", ("h", "w"), "u1")]
-    beam_X_PS: Annotated[Array, Column("pose of its middle in P", "m", (4, 4))]
-    beam_size: Annotated[Array, Column("its width and height", "m", (2,))]
-    cross_slice: Annotated[Array, Column("slice along needle, across beam", "", ("i", "j"), "u1")]
-    cross_X_PS: Annotated[Array, Column("pose of its middle in P", "m", (4, 4))]
-    cross_size: Annotated[Array, Column("its width and height", "m", (2,))]
+    sliced: Array = column(
+        "curve in the slices: measured, predicted, estimated, or none", "", "", "U"
+    )
+    slice_origin: Array = column("its tip in P; zero without one", "m", "3")
+    beam_slice: Array = column("slice along needle and beam", "", "h w", "u1")
+    beam_X_PS: Array = column("pose of its middle in P", "m", "4 4")
+    beam_size: Array = column("its width and height", "m", "2")
+    cross_slice: Array = column("slice along needle, across beam", "", "i j", "u1")
+    cross_X_PS: Array = column("pose of its middle in P", "m", "4 4")
+    cross_size: Array = column("its width and height", "m", "2")
 
     @property
     def motion(self) -> SweepMotion | None:
         """Time and pose of each frame's acquisition; None if unknown."""
         if not len(self.frame_times):
             return None
-        kinds = get_type_hints(SweepGeometry)
-        geometry = SweepGeometry(
-            **{name: kinds[name](value) for name, value in zip(kinds, self.geometry, strict=True)}
+        kinds = get_type_hints(SweepGeometry).values()
+        geometry = (kind(value) for kind, value in zip(kinds, self.geometry, strict=True))
+        return SweepMotion(
+            SweepGeometry(*geometry), int(self.direction), self.frame_times, self.frame_X_WP
         )
-        return SweepMotion(geometry, int(self.direction), self.frame_times, self.frame_X_WP)
 
     def to_probe(self, p_W: Array) -> Array:
         """Return the (m, 3) positions in P, in m, at which the volume shows positions in W."""
         return acquired_from(_Picture(RigidTransform(self.X_WP), self.motion), p_W)
 
 
-@dataclass(frozen=True)
-class _Picture:
+class _Picture(NamedTuple):
     """Pose and motion of a volume's acquisition, without its intensities."""
 
     X_WP: RigidTransform
@@ -141,15 +147,24 @@ def explain_volume(
 ) -> ExplainedVolume:
     """Return the record of a tracker's search in a volume."""
     predicted, measured = explanation.prediction, explanation.measurement
-    expected = predicted.curve if isinstance(predicted, NeedlePrediction) else None
-    found = measured.curve if isinstance(measured, NeedleMeasurement) else None
-    named = {"measured": found, "predicted": expected, "estimated": after.curve, "none": None}
-    sliced = next(name for name, curve in named.items() if curve is not None or name == "none")
-    known = columns(ExplainedVolume)
-    arrays: dict[str, Any] = {name: _missing(column) for name, column in known.items()}
-    arrays |= _acquisition(volume) | _slices(volume, named[sliced]) | _search(explanation)
+    curves = {
+        "measured": measured.curve if isinstance(measured, NeedleMeasurement) else None,
+        "predicted": predicted.curve if isinstance(predicted, NeedlePrediction) else None,
+        "after": after.curve,
+        "before": before.curve if before is not None else None,
+    }
+    drawn = next(
+        (name for name in ("measured", "predicted", "after") if curves[name] is not None), "none"
+    )
+    arrays: dict[str, Any] = {
+        name: each.missing([extent if isinstance(extent, int) else 0 for extent in each.shape])
+        for name, each in columns(ExplainedVolume).items()
+    }
+    arrays |= {name: each.control_points for name, each in curves.items() if each is not None}
+    arrays |= _slices(volume, curves.get(drawn)) | _search(explanation)
     arrays |= {
         "volume_time": volume.time,
+        "X_WP": volume.X_WP.GetAsMatrix4(),
         "occasion": occasion,
         "mode_before": str(before.mode) if before is not None else "",
         "mode_after": str(after.mode),
@@ -157,38 +172,15 @@ def explain_volume(
         "attempt_reasons": [getattr(a.measurement, "reason", "") for a in explanation.attempts],
         "before_time": before.time if before is not None else np.nan,
         "after_time": after.time,
-        "sliced": sliced,
+        "sliced": "estimated" if drawn == "after" else drawn,
     }
-    curves = {
-        "before": before.curve if before is not None else None,
-        "after": after.curve,
-        "predicted": expected,
-        "measured": found,
-    }
-    arrays |= {name: each.control_points for name, each in curves.items() if each is not None}
+    if (motion := volume.motion) is not None:
+        arrays |= {"frame_times": motion.times, "frame_X_WP": motion.X_WP}
+        arrays |= {"direction": motion.direction, "geometry": astuple(motion.geometry)}
     if isinstance(measured, NeedleMeasurement):
         arrays["measured_time"] = measured.time
         arrays["measured_tip_covariance"] = measured.covariance[-3:, -3:]
     return ExplainedVolume(**arrays)
-
-
-def _missing(column: Column) -> Array:
-    """Return the array of a column without data."""
-    shape = [extent if isinstance(extent, int) else 0 for extent in column.shape]
-    if column.dtype == "U":
-        return np.full(shape, "")
-    return np.full(shape, np.nan if column.dtype[0] == "f" else 0, column.dtype)
-
-
-def _acquisition(volume: Volume) -> dict[str, Any]:
-    """Return the times and poses of a volume's acquisition."""
-    arrays: dict[str, Any] = {"X_WP": volume.X_WP.GetAsMatrix4()}
-    if volume.motion is not None:
-        arrays["frame_times"] = volume.motion.times
-        arrays["frame_X_WP"] = volume.motion.X_WP
-        arrays["direction"] = volume.motion.direction
-        arrays["geometry"] = astuple(volume.motion.geometry)
-    return arrays
 
 
 def _slices(volume: Volume, curve: NeedleCurve | None) -> dict[str, Any]:
@@ -206,30 +198,24 @@ def _slices(volume: Volume, curve: NeedleCurve | None) -> dict[str, Any]:
 
 
 def _search(explanation: LocalizationExplanation) -> dict[str, Any]:
-    """Return the steps of the deciding search."""
-    compared = {"innovation": explanation.innovation, "gate": explanation.gate}
-    arrays: dict[str, Any] = {name: value for name, value in compared.items() if value is not None}
-    attempt = deciding_attempt(explanation)
-    if attempt is None:
-        return arrays
-    region, profile, extent = attempt.region, attempt.profile, attempt.extent
-    arrays["region"] = region.curve.control_points
-    arrays["region_radius"] = region.radius
-    arrays["region_before"] = region.before
-    arrays["region_beyond"] = region.shaft_beyond
-    if attempt.candidates is not None:
-        none = np.zeros(len(attempt.candidates), bool)
-        arrays["candidates"], arrays["weights"] = attempt.candidates, attempt.weights
-        arrays["inliers"] = none if attempt.inliers is None else attempt.inliers
-    if profile is not None:
-        arrays["profile"], arrays["profile_a"] = profile.p_W, profile.a
-        arrays["profile_level"], arrays["profile_seen"] = profile.level, profile.seen
-        arrays["profile_background"] = profile.background
-        arrays["contrast"] = np.nan if profile.contrast is None else profile.contrast
-    if extent is not None:
-        arrays["start"], arrays["tip"] = extent.start, extent.tip
-        arrays["leaves"], arrays["tip_seen"] = extent.leaves, extent.seen
-    return arrays
+    """Return the steps of the deciding search, as far as it came."""
+    found: dict[str, Any] = {"innovation": explanation.innovation, "gate": explanation.gate}
+    if (attempt := deciding_attempt(explanation)) is not None:
+        region, profile, extent = attempt.region, attempt.profile, attempt.extent
+        found |= {"region": region.curve.control_points, "region_radius": region.radius}
+        found |= {"region_before": region.before, "region_beyond": region.shaft_beyond}
+        if attempt.candidates is not None:
+            none = np.zeros(len(attempt.candidates), bool)
+            found |= {"candidates": attempt.candidates, "weights": attempt.weights}
+            found["inliers"] = none if attempt.inliers is None else attempt.inliers
+        if profile is not None:
+            found |= {"profile": profile.p_W, "contrast": profile.contrast}
+            for name in ("a", "level", "background", "seen"):
+                found[f"profile_{name}"] = getattr(profile, name)
+        if extent is not None:
+            found |= {"start": extent.start, "tip": extent.tip}
+            found |= {"leaves": extent.leaves, "tip_seen": extent.seen}
+    return {name: value for name, value in found.items() if value is not None}
 
 
 FOLDER = "explanation"  # name of the subfolder of the explained volumes
@@ -278,3 +264,141 @@ def imaged_needle(log: RunLog, explained: ExplainedVolume) -> Array:
             break
         times = explained.motion.to_world(p_P)[1]
     return p_P
+
+
+BEFORE, AFTER = "before", "after"
+"""Names for the volumes kept because they precede or follow an occasion."""
+
+
+class _Look(NamedTuple):
+    """A volume that was searched, and the estimates before and after it."""
+
+    volume: Volume
+    explanation: LocalizationExplanation
+    before: NeedleEstimate | None
+    after: NeedleEstimate
+
+
+@dataclass
+class _Run:
+    """Memory of a run: the volumes that may still be written, and the number that will be."""
+
+    waiting: deque[_Look] = field(default_factory=deque)
+    following: int = 0
+    estimate: NeedleEstimate | None = None
+    detected: bool = False
+    begun: bool = False
+
+
+class ExplanationRecorder(LeafSystem):
+    """Records a tracker's search in the volumes around a loss, in one file for each.
+
+    .. pydrake_system::
+
+        name: ExplanationRecorder
+        input_ports:
+        - volume
+        - estimate
+        - explanation
+        - detection (optional)
+
+    A volume is kept when the tracker's mode changes, at the first detection and when the tip jumps
+    (`find_occasion`), with some before and after it. `explanation` is evaluated after the tracker's
+    update, when the gate has judged, which localizes the needle once more. A run removes the files
+    of an earlier one.
+
+    Parameters
+    ----------
+    folder
+        Folder of the run; the files are in its subfolder ``explanation``.
+    before, after
+        Numbers of volumes to keep before and after an occasion.
+    max_jump
+        Largest distance of the tip from its expected position that is not a jump, in m.
+    period, offset
+        Period of the checks for a new volume and time of the first one, in s.
+    """
+
+    def __init__(
+        self,
+        *,
+        folder: Path,
+        before: int = 2,
+        after: int = 2,
+        max_jump: float = 3e-3,
+        period: float = 1.0,
+        offset: float = 0.0,
+    ) -> None:
+        super().__init__()
+        require_positive(max_jump=max_jump)
+        for name, count in (("before", before), ("after", after)):
+            require(count >= 0, name, count, "0 or more")
+        self._folder = folder
+        self._before, self._after, self._max_jump = before, after, max_jump
+        declare_inputs(
+            self,
+            volume=(Volume, NotFound),
+            estimate=NeedleEstimate,
+            explanation=(LocalizationExplanation, NotFound),
+            detection=object,
+        )
+        self._run = declare_memory(self, _Run)
+        declare_looks(self, self._look, period=period, offset=offset, start=self._start)
+
+    def _start(self, context: Context) -> None:
+        vars(self._run(context)).update(vars(_Run()))
+
+    def _look(self, context: Context) -> None:
+        """Process the volume if it is new and the estimate was made from it."""
+        run = self._run(context)
+        if not run.begun:
+            clear_explanations(self._folder)
+            (self._folder / FOLDER).mkdir(parents=True, exist_ok=True)
+            run.begun = True
+        volume = evaluate(self, context, "volume", (Volume, NotFound))
+        before, after = run.estimate, evaluate(self, context, "estimate", NeedleEstimate)
+        if not isinstance(volume, Volume) or volume.time != after.volume_time:
+            return
+        if before is not None and before.volume_time >= volume.time:
+            return
+        explanation = evaluate(self, context, "explanation", (LocalizationExplanation, NotFound))
+        if not isinstance(explanation, LocalizationExplanation):
+            return
+        first = bool(evaluate_optional(self, context, "detection", object)) and not run.detected
+        occasion = find_occasion(before, after, detected=first, max_jump=self._max_jump)
+        run.detected |= first
+        run.estimate = after
+        run.waiting.append(_Look(volume, explanation, before, after))
+        if occasion:
+            while len(run.waiting) > 1:
+                self._write(run.waiting.popleft(), BEFORE)
+            run.following = self._after + 1
+        if run.following:
+            self._write(run.waiting.popleft(), occasion or AFTER)
+            run.following -= 1
+        elif len(run.waiting) > self._before:
+            run.waiting.popleft()
+
+    def _write(self, look: _Look, occasion: str) -> None:
+        volume, explanation, before, after = look
+        explained = explain_volume(
+            volume, explanation, before=before, after=after, occasion=occasion
+        )
+        write_explanation(self._folder, explained)
+
+
+def find_occasion(
+    before: NeedleEstimate | None, after: NeedleEstimate, *, detected: bool, max_jump: float
+) -> str:
+    """Return the reason why a volume is worth explaining; an empty text if it is not."""
+    if before is None:
+        return "first volume" if after.mode == TrackingMode.TRACKING else ""
+    if before.mode != after.mode:
+        return f"{before.mode} to {after.mode}"
+    if detected:
+        return "first detection"
+    if before.curve is None or after.curve is None:
+        return ""
+    expected = before.curve.tip + before.tip_velocity * (after.time - before.time)
+    jump = float(np.linalg.norm(after.curve.tip - expected))
+    return f"tip jumped {1e3 * jump:.1f} mm" if jump > max_jump else ""

@@ -1,6 +1,7 @@
 """Figure of a tracker's search in one volume, beside ground truth."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -8,8 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 from pydrake.math import RigidTransform
 
-from sonoservo.systems.evaluation.explanation.explained_volume import ExplainedVolume
-from sonoservo.systems.evaluation.explanation.explanation_recorder import AFTER, BEFORE
+from sonoservo.systems.evaluation.explanation.explained_volume import AFTER, BEFORE, ExplainedVolume
 from sonoservo.systems.evaluation.log import Array
 from sonoservo.systems.signals.confidence import squared_distance
 from sonoservo.systems.signals.needle_curve import NeedleCurve
@@ -44,11 +44,10 @@ def plot_explanation(
         )
     _draw_profile(grid[0, 1], explained, needle)
     _draw_gate(grid[1, 1], explained, kept or [explained])
-    entries = {
-        label: handle
-        for axes in slices
-        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
-    }
+    entries: dict[str, Any] = {}
+    for axes in slices:
+        handles, labels = axes.get_legend_handles_labels()
+        entries |= dict(zip(labels, handles, strict=True))
     if entries:
         dark = {"facecolor": "0.3", "labelcolor": "white", "fancybox": False}
         figure.legend(entries.values(), entries.keys(), loc="outside lower left", ncols=5, **dark)
@@ -82,12 +81,13 @@ def describe(explained: ExplainedVolume, tip_error: float = np.nan) -> str:
 
 def _draw_slice(axes: Axes, explained: ExplainedVolume, name: str, needle: Array) -> None:
     """Draw the slice "beam" or "cross", with the search projected onto it."""
-    levels, X_PS = getattr(explained, f"{name}_slice"), getattr(explained, f"{name}_X_PS")
+    levels, X_PS, size = (
+        getattr(explained, f"{name}_{each}") for each in ("slice", "X_PS", "size")
+    )
     through = str(explained.sliced)
-    title = f"Slice {_ACROSS[name]} the beam, through the {through} needle"
-    if through == "none":
-        title = f"Slice at {_OTHER[name]} 0"
-    axes.set_title(title, loc="left", fontsize=11)
+    words = f"Slice {_ACROSS[name]} the beam, through the {through} needle"
+    words = f"Slice at {_OTHER[name]} 0" if through == "none" else words
+    axes.set_title(words, loc="left", fontsize=11)
     if not levels.size:
         axes.text(0.5, 0.5, "the slice misses the volume", ha="center", transform=axes.transAxes)
         axes.set_axis_off()
@@ -95,68 +95,60 @@ def _draw_slice(axes: Axes, explained: ExplainedVolume, name: str, needle: Array
     # Depth is measured in P; the other axes start at the tip of the curve in the slice.
     upright = abs(X_PS[1, 1]) > 1 - 1e-9
     origin = explained.slice_origin * ([1, 0, 1] if upright else [1, 1, 1])
-    u, v = X_PS[:3, 0], X_PS[:3, 1]
 
     def project(p_P: Array) -> Array:
-        return 1e3 * (p_P - origin) @ np.stack([u, v], axis=1)
+        return 1e3 * (p_P - origin) @ X_PS[:3, :2]
 
     def show(p_W: Array) -> Array:
         return project(explained.to_probe(p_W))
 
-    half = 500 * getattr(explained, f"{name}_size")
-    x, y = project(X_PS[:3, 3])
+    (x, y), half = project(X_PS[:3, 3]), 500 * size
     extent = (x - half[0], x + half[0], y + half[1], y - half[1])
     axes.imshow(levels, cmap="gray", vmin=0, vmax=255, extent=extent)
-    drawn = [_draw_search(axes, explained, show)]
-    if len(explained.profile):
-        fitted = show(explained.profile)
-        axes.plot(*fitted.T, color=MEASURED, linestyle=":", linewidth=1.2, label="fitted axis")
-    for points, colour, style, label in (
-        (explained.before, ESTIMATED, ":", "estimate before"),
-        (explained.after, ESTIMATED, "-", "estimate after"),
-        (explained.predicted, PREDICTED, "-.", "predicted needle"),
-        (explained.measured, MEASURED, "-", "measured needle"),
-    ):
-        if len(points):
-            line = show(_curve(points))
-            axes.plot(*line.T, color=colour, linestyle=style, linewidth=1.3, label=label)
-            axes.plot(*line[-1], marker="o", color=colour, markersize=4)
-            drawn.append(line)
-    if len(explained.measured):
-        _draw_tip(axes, explained, np.stack([u, v]), show(explained.measured[-1:])[0])
-    if len(needle):
-        line = project(needle)
-        axes.plot(*line.T, color=TRUE, linestyle="--", linewidth=1.5, label="true needle (truth)")
-        axes.plot(*line[-1], marker="x", color=TRUE, markersize=8, markeredgewidth=1.8)
-        drawn.append(line)
-    _frame(axes, np.concatenate(drawn) if through != "none" else np.zeros((0, 2)), extent)
-    tip = f"along the {through} needle, mm from its tip"
-    axes.set_xlabel(f"{_SIDE[name]}, mm" if through == "none" else tip)
-    axes.set_ylabel("depth, mm" if upright else "across the needle, mm")
-
-
-def _draw_search(axes: Axes, explained: ExplainedVolume, show: object) -> Array:
-    """Draw region and candidates, and return the corners of the region."""
-    assert callable(show)
     corners = np.zeros((0, 2))
     if len(explained.region):
         corners = _outline(show(_reaching(explained)), 1e3 * float(explained.region_radius))
-        axes.fill(
-            *corners.T, fill=False, edgecolor=PREDICTED, linewidth=1.0, label="region searched"
-        )
+        axes.fill(*corners.T, fill=False, edgecolor=PREDICTED, linewidth=1.0,
+                  label="region searched")  # fmt: skip
     if len(explained.candidates):
-        at = show(explained.candidates)
-        order = np.argsort(explained.weights)
-        axes.scatter(
-            *at[order].T, c=explained.weights[order], s=5, cmap="plasma", vmin=0, vmax=1,
-            linewidths=0, alpha=0.55, label="candidates",
-        )  # fmt: skip
-        inliers = at[explained.inliers]
-        axes.scatter(
-            *inliers.T, s=5, marker="o", facecolors="none", edgecolors="white",
-            linewidths=0.35, alpha=0.6, label="consensus inliers",
-        )  # fmt: skip
-    return corners
+        at, order = show(explained.candidates), np.argsort(explained.weights)
+        axes.scatter(*at[order].T, c=explained.weights[order], s=5, cmap="plasma", vmin=0, vmax=1,
+                     linewidths=0, alpha=0.55, label="candidates")  # fmt: skip
+        axes.scatter(*at[explained.inliers].T, s=5, marker="o", facecolors="none", alpha=0.6,
+                     edgecolors="white", linewidths=0.35, label="consensus inliers")  # fmt: skip
+    if len(explained.profile):
+        fitted = show(explained.profile)
+        axes.plot(*fitted.T, color=MEASURED, linestyle=":", linewidth=1.2, label="fitted axis")
+    lines = [
+        (show(_curve(points)), colour, style, label)
+        for points, colour, style, label in (
+            (explained.before, ESTIMATED, ":", "estimate before"),
+            (explained.after, ESTIMATED, "-", "estimate after"),
+            (explained.predicted, PREDICTED, "-.", "predicted needle"),
+            (explained.measured, MEASURED, "-", "measured needle"),
+        )
+        if len(points)
+    ]
+    for line, colour, style, label in lines:
+        axes.plot(*line.T, color=colour, linestyle=style, linewidth=1.3, label=label)
+        axes.plot(*line[-1], marker="o", color=colour, markersize=4)
+    if len(explained.measured):
+        _draw_tip(axes, explained, X_PS[:3, :2].T, show(explained.measured[-1:])[0])
+    true = project(needle)
+    if len(needle):
+        axes.plot(*true.T, color=TRUE, linestyle="--", linewidth=1.5, label="true needle (truth)")
+        axes.plot(*true[-1], marker="x", color=TRUE, markersize=8, markeredgewidth=1.8)
+    drawn = np.concatenate([corners, *(line for line, *_ in lines), true])
+    left, right, bottom, top = extent
+    if through != "none" and len(drawn):
+        low, high = drawn.min(axis=0) - _MARGIN, drawn.max(axis=0) + _MARGIN
+        left, right = max(left, low[0]), min(right, high[0])
+        top, bottom = max(top, low[1]), min(bottom, high[1])
+    axes.set_xlim(left, right)
+    axes.set_ylim(bottom, top)
+    tip = f"along the {through} needle, mm from its tip"
+    axes.set_xlabel(f"{_SIDE[name]}, mm" if through == "none" else tip)
+    axes.set_ylabel("depth, mm" if upright else "across the needle, mm")
 
 
 def _draw_tip(axes: Axes, explained: ExplainedVolume, R_SP: Array, tip: Array) -> None:
@@ -165,11 +157,8 @@ def _draw_tip(axes: Axes, explained: ExplainedVolume, R_SP: Array, tip: Array) -
     values, vectors = np.linalg.eigh(R_SW @ explained.measured_tip_covariance @ R_SW.T)
     width, height = 2e3 * np.sqrt(squared_distance(0.95, 2) * values[::-1])
     angle = np.degrees(np.arctan2(vectors[1, -1], vectors[0, -1]))
-    ellipse = Ellipse(
-        (tip[0], tip[1]), width, height, angle=angle, fill=False, edgecolor=MEASURED,
-        linewidth=1.5, label="measured tip, 95 %",
-    )  # fmt: skip
-    axes.add_patch(ellipse)
+    style = {"edgecolor": MEASURED, "linewidth": 1.5, "label": "measured tip, 95 %"}
+    axes.add_patch(Ellipse((tip[0], tip[1]), width, height, angle=angle, fill=False, **style))
 
 
 def _draw_profile(axes: Axes, explained: ExplainedVolume, needle: Array) -> None:
@@ -182,10 +171,8 @@ def _draw_profile(axes: Axes, explained: ExplainedVolume, needle: Array) -> None
     first = explained.profile_a[0]
     a = 1e3 * (explained.profile_a - first)
     unseen = ~explained.profile_seen
-    level, background = (
-        np.where(unseen, np.nan, each)
-        for each in (explained.profile_level, explained.profile_background)
-    )
+    level = np.where(unseen, np.nan, explained.profile_level)
+    background = np.where(unseen, np.nan, explained.profile_background)
     axes.plot(a, level, color="0.1", linewidth=1.3, label="level")
     axes.plot(a, background, color=_QUIET, linewidth=1.0, label="background")
     if np.isfinite(explained.contrast):
@@ -224,14 +211,13 @@ def _draw_gate(axes: Axes, explained: ExplainedVolume, kept: Sequence[ExplainedV
     axes.set_title("Measurement against prediction", loc="left", fontsize=11)
     now = float(explained.volume_time)
     near = [each for each in kept if abs(each.volume_time - now) < 5]
-    times = np.array([float(each.volume_time) for each in near])
-    distance = np.array([float(each.innovation) for each in near])
-    gate = float(explained.gate)
-    axes.plot(times, distance, "o", color="0.3", markersize=5, label="measurement")
-    nothing = times[np.isnan(distance)]
-    axes.plot(
-        nothing, np.zeros(len(nothing)), "|", color="0.3", markersize=9, label="none compared"
+    times, distance = (
+        np.array([float(getattr(each, name)) for each in near])
+        for name in ("volume_time", "innovation")
     )
+    gate, nothing = float(explained.gate), times[np.isnan(distance)]
+    axes.plot(times, distance, "o", color="0.3", markersize=5, label="measurement")
+    axes.plot(nothing, 0 * nothing, "|", color="0.3", markersize=9, label="none compared")
     if np.isfinite(gate):
         axes.axhline(gate, color=MEASURED, linestyle="--", linewidth=1.3, label=f"gate {gate:.1f}")
     axes.axvline(now, color=PREDICTED, linewidth=6, alpha=0.3, label="this volume")
@@ -262,17 +248,6 @@ def _outline(line: Array, radius: float) -> Array:
     length = np.linalg.norm(forward, axis=1, keepdims=True)
     aside = radius * np.stack([-forward[:, 1], forward[:, 0]], axis=1) / np.maximum(length, 1e-9)
     return np.concatenate([line + aside, (line - aside)[::-1]])
-
-
-def _frame(axes: Axes, drawn: Array, extent: tuple[float, float, float, float]) -> None:
-    """Limit a slice to the lines drawn in it."""
-    left, right, bottom, top = extent
-    if len(drawn):
-        low, high = drawn.min(axis=0) - _MARGIN, drawn.max(axis=0) + _MARGIN
-        left, right = max(left, low[0]), min(right, high[0])
-        top, bottom = max(top, low[1]), min(bottom, high[1])
-    axes.set_xlim(left, right)
-    axes.set_ylim(bottom, top)
 
 
 def _abscissa(a: Array, points: Array, point: Array) -> float:

@@ -1,9 +1,9 @@
 """Pictures of a run's telling moments: detection, loss, largest error and rest."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -15,13 +15,15 @@ from sonoservo.systems.signals.needle_estimate import TrackingMode
 
 Floats = NDArray[np.float64]
 
-ESTIMATE, TRUTH = "#E69F00", "#56B4E9"
-"""Colours of the estimated and of the true needle on a picture."""
-
 _BLACK = 12  # grey level up to which a pixel is outside the sector; JPEG leaves some grey there
 
 VIEWS = ("along needle and beam", "along the needle, across the beam")
 """Names of a volume's two slices."""
+
+_LEGEND = (
+    " Each slice is shown as the scanner shows it and, beside it, with the estimated needle "
+    "(orange, dashed, a ring at its tip) and the true one (blue, a cross at its tip); mm."
+)
 
 
 def plot_key_frames(log: RunLog, pictures: Sequence[VolumePictures]) -> dict[str, Figure]:
@@ -33,17 +35,10 @@ def plot_key_frames(log: RunLog, pictures: Sequence[VolumePictures]) -> dict[str
     for volume, words in key_volumes(log).items():
         nearest = pictures[int(np.abs(times - log.volume_time[volume]).argmin())]
         shown = int(np.abs(log.volume_time - nearest.time).argmin())  # of a long run, a neighbour
-        true = true_needle(log, shown)
         caption = f"At {log.volume_time[volume]:.1f} s: {words}."
-        figures[caption] = _key_frame(nearest, true)
-    first = next(iter(figures))
-    legend = (
-        " Each slice is shown as the scanner shows it and, beside it, with the estimated needle "
-        "(orange, dashed, a ring at its tip) and the true one (blue, a cross at its tip); mm."
-    )
-    return {
-        caption + (legend if caption == first else ""): each for caption, each in figures.items()
-    }
+        legend = "" if figures else _LEGEND
+        figures[caption + legend] = _key_frame(nearest, true_needle(log, shown))
+    return figures
 
 
 def key_volumes(log: RunLog, parameters: MetricsParameters | None = None) -> dict[int, str]:
@@ -54,24 +49,26 @@ def key_volumes(log: RunLog, parameters: MetricsParameters | None = None) -> dic
         visible = at_times(log, log.visible_length, log.volume_true_time)
         shown = int(np.argmax(np.nan_to_num(visible)))
         return {shown: "the volume that shows most of the needle, which was not found"}
-    tracked = log.volume_estimate_mode == TrackingMode.TRACKING
+    moments: dict[int, list[str]] = {}
+
+    def tell(volumes: Floats, number: int, words: str) -> None:
+        if len(volumes):
+            moments.setdefault(int(volumes[number]), []).append(words)
+
+    tell(np.flatnonzero(judged), 0, "the needle is found")
+    lost = log.volume_estimate_mode == TrackingMode.LOST
+    tell(np.flatnonzero(judged & lost), 0, "the needle is lost")
     errors = estimate_errors(log)
-    moments: dict[int, list[str]] = {int(np.flatnonzero(judged)[0]): ["the needle is found"]}
-    lost = np.flatnonzero(judged & (log.volume_estimate_mode == TrackingMode.LOST))
-    if len(lost):
-        moments.setdefault(int(lost[0]), []).append("the needle is lost")
     tip = np.where(judged, errors.tip, np.nan)
     if np.isfinite(tip).any():
         worst = int(np.nanargmax(tip))
         along, across = abs(errors.axial[worst]), errors.lateral[worst]
-        moments.setdefault(worst, []).append(
-            f"the largest error of the tip, {1e3 * tip[worst]:.2f} mm "
-            f"({1e3 * along:.2f} mm along the needle, {1e3 * across:.2f} mm across it)"
-        )
+        parts = f"{1e3 * along:.2f} mm along the needle, {1e3 * across:.2f} mm across it"
+        words = f"the largest error of the tip, {1e3 * tip[worst]:.2f} mm ({parts})"
+        tell(np.array([worst]), 0, words)
     rests = at_times(log, at_rest(log, parameters).astype(float)[:, np.newaxis], log.volume_time)
-    resting = np.flatnonzero(judged & tracked & (rests[:, 0] > 0.5))
-    if len(resting):
-        moments.setdefault(int(resting[-1]), []).append("the needle is at rest")
+    tracked = log.volume_estimate_mode == TrackingMode.TRACKING
+    tell(np.flatnonzero(judged & tracked & (rests[:, 0] > 0.5)), -1, "the needle is at rest")
     return {volume: ", and ".join(moments[volume]) for volume in sorted(moments)}
 
 
@@ -84,22 +81,6 @@ def true_needle(log: RunLog, volume: int) -> Floats:
     return in_frame(X_WP, points) if np.isfinite(points).all() else np.zeros((0, 3))
 
 
-def draw_plane(axes: Axes, picture: PlanePicture, true: Floats | None = None) -> None:
-    """Draw a slice, and the needles over it."""
-    axes.imshow(picture.grey, cmap="gray", vmin=0, vmax=255, extent=picture.extent)
-    if true is not None:
-        for points, colour, mark, style in (
-            (picture.project(true), TRUTH, "+", "-"),
-            (picture.needle, ESTIMATE, "o", (0, (3, 2))),
-        ):
-            if len(points):
-                axes.plot(*points.T, color=colour, linewidth=1, linestyle=style)
-                axes.plot(*points[-1], mark, color=colour, markersize=7, fillstyle="none")
-    axes.set_xlim(picture.extent[:2])
-    axes.set_ylim(picture.extent[2:])
-    axes.tick_params(labelsize=7)
-
-
 def _key_frame(pictures: VolumePictures, true: Floats) -> Figure:
     """Return a figure of a volume's slices, each without and with the needles."""
     bounds = [_bounds(each) for each in pictures.planes]
@@ -108,15 +89,17 @@ def _key_frame(pictures: VolumePictures, true: Floats) -> Figure:
     height = (width - left - gap * 2 * len(widths)) / max(2 * sum(widths), 1e-9)
     figure = Figure(figsize=(width, height + below + above))
     for number, (picture, view) in enumerate(zip(pictures.planes, VIEWS, strict=False)):
-        for shown in (None, true):
+        for needles in (False, True):
             box = (left / width, below / figure.get_figheight(), widths[number] * height / width)
             axes = figure.add_axes((*box, height / figure.get_figheight()))
-            draw_plane(axes, picture, shown)
+            if needles:
+                picture.draw(axes, true)
+            else:
+                replace(picture, needle=np.zeros((0, 2))).draw(axes)
+                axes.set_title(view, loc="left", fontsize=9)
             axes.set_xlim(bounds[number][:2])
             axes.set_ylim(bounds[number][2:])
             axes.set_facecolor("black")
-            if shown is None:
-                axes.set_title(view, loc="left", fontsize=9)
             left += widths[number] * height + gap
     return figure
 

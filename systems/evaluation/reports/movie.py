@@ -7,28 +7,25 @@ from itertools import chain
 from pathlib import Path
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from numpy.typing import NDArray
 from PIL import Image, ImageColor
 
-from sonoservo.systems.evaluation.reports.key_frames import (
+from sonoservo.systems.evaluation.reports.key_frames import VIEWS, true_needle
+from sonoservo.systems.evaluation.reports.plots import (
+    BLUE,
     ESTIMATE,
+    GREEN,
+    ORANGE,
     TRUTH,
-    VIEWS,
-    draw_plane,
-    true_needle,
+    Frame,
+    movie_frame,
+    title,
 )
-from sonoservo.systems.evaluation.reports.plots import BLUE, GREEN, ORANGE
 from sonoservo.systems.evaluation.reports.track_plots import VolumePictures
 from sonoservo.systems.evaluation.run_errors import estimate_errors, features
 from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.writing import write_atomically
-
-Frame = NDArray[np.uint8]
 
 FORMATS = (".gif", ".mp4")  # suffixes of movies
 _GREYS = 48  # number of greys of a GIF; few colours keep it small
@@ -82,45 +79,36 @@ def _palette() -> Image.Image:
 def movie_frames(log: RunLog, pictures: Sequence[VolumePictures]) -> Iterator[Frame]:
     """Yield a picture of each volume: its slices with both needles, beside curves of the run."""
     figure = Figure(figsize=(9.6, 5.4))
-    canvas = FigureCanvasAgg(figure)
     inside = {"bottom": 0.09, "top": 0.88, "hspace": 0.45}
     left = figure.add_gridspec(2, 1, left=0.06, right=0.48, **inside)
     right = figure.add_gridspec(3, 1, left=0.55, right=0.98, **inside)
     slices = [figure.add_subplot(left[row]) for row in range(2)]
-    cursors = _curves([figure.add_subplot(right[row]) for row in range(3)], log)
-    title = figure.suptitle("", x=0.05, ha="left", fontsize=11)
+    servo, tip, force = curves = [figure.add_subplot(right[row]) for row in range(3)]
+    x, z, theta = features(log.X_WP, log.needle_tip, log.needle_entry).T
+    for axes, time, values, name, colour in (
+        (servo, log.time, 1e3 * x, "X, mm", BLUE),
+        (servo, log.time, 1e3 * z, "Z, mm", GREEN),
+        (servo, log.time, np.degrees(theta), "Theta, deg", ORANGE),
+        (tip, log.volume_time, 1e3 * estimate_errors(log).tip, "", BLUE),
+        (force, log.time, log.contact_force, "", BLUE),
+    ):
+        axes.plot(time, values, color=colour, linewidth=1.2, label=name)
+    servo.legend(fontsize=7, frameon=False, ncols=3, loc="upper right", handlelength=1)
+    for axes, name in zip(curves, ("servo's errors", "tip error, mm", "force, N"), strict=True):
+        title(axes, name)
+        axes.tick_params(labelsize=7)
+        if len(log.time):
+            axes.set_xlim(log.time[0], log.time[-1])
+    force.set_xlabel("time, s", fontsize=8)
+    cursors = [axes.axvline(0, color="0.3", linewidth=1) for axes in curves]
+    head = figure.suptitle("", x=0.05, ha="left", fontsize=11)
     for volume, time in enumerate(log.volume_time):
         taken = min(pictures, key=lambda each: abs(each.time - time))
-        true = true_needle(log, volume)
         for axes, picture, view in zip(slices, taken.planes, VIEWS, strict=False):
             axes.clear()
-            draw_plane(axes, picture, true)
+            picture.draw(axes, true_needle(log, volume))
             axes.set_title(view, loc="left", fontsize=9)
         for cursor in cursors:
             cursor.set_xdata([time, time])
-        title.set_text(f"{time:5.1f} s   {taken.mode}      blue: true needle, orange: estimate")
-        canvas.draw()
-        yield np.asarray(canvas.buffer_rgba())[..., :3].copy()
-
-
-def _curves(axes: Sequence[Axes], log: RunLog) -> list[Line2D]:
-    """Draw the curves of a run, and return a cursor in each of the axes."""
-    errors = features(log.X_WP, log.needle_tip, log.needle_entry)
-    servo, tip, force = axes
-    for values, name, colour in (
-        (1e3 * errors[:, 0], "X, mm", BLUE),
-        (1e3 * errors[:, 1], "Z, mm", GREEN),
-        (np.degrees(errors[:, 2]), "Theta, deg", ORANGE),
-    ):
-        servo.plot(log.time, values, color=colour, linewidth=1.2, label=name)
-    tip.plot(log.volume_time, 1e3 * estimate_errors(log).tip, color=BLUE, linewidth=1.2)
-    force.plot(log.time, log.contact_force, color=BLUE, linewidth=1.2)
-    servo.legend(fontsize=7, frameon=False, ncols=3, loc="upper right", handlelength=1)
-    for each, name in zip(axes, ("servo's errors", "tip error, mm", "force, N"), strict=True):
-        each.set_title(name, loc="left", fontsize=9)
-        each.tick_params(labelsize=7)
-        each.grid(alpha=0.3)
-        if len(log.time):
-            each.set_xlim(log.time[0], log.time[-1])
-    force.set_xlabel("time, s", fontsize=8)
-    return [each.axvline(0, color="0.3", linewidth=1) for each in axes]
+        head.set_text(f"{time:5.1f} s   {taken.mode}      blue: true needle, orange: estimate")
+        yield movie_frame(figure)

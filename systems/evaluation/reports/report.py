@@ -4,7 +4,9 @@ import base64
 import html
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from importlib.resources import files
 from pathlib import Path
+from string import Template
 from typing import Any
 
 from pydrake.geometry import Meshcat
@@ -48,21 +50,10 @@ def report_page(
 ) -> str:
     """Return the report of a run as one self-contained HTML page.
 
-    Parameters
-    ----------
-    summary
-        Content of `summary.json`; `scenario` becomes the title.
-    figures
-        Contents of PNG files of plots, by caption.
-    story
-        The verdict, the scenario in words, and links.
-    key_frames
-        Contents of PNG files of pictures from the run, by caption.
-    labels
-        Label of each figure that is shown, by its dotted path into the summary.
-    paper
-        Published values to show beside the simulated ones, by the dotted path of the simulated
-        value: ``{"servo.at_rest.x_mm": 1.1}``.
+    `summary` is the content of `summary.json`, and `story` the verdict, the scenario in words and
+    links. `figures` and `key_frames` are PNG files of plots, and of pictures from the run, by
+    caption. `labels` name the numbers that are shown, and `paper` has published values to stand
+    beside them, both by the dotted path into the summary: ``{"servo.at_rest.x_mm": 1.1}``.
     """
     body = report_body(summary, story=story, key_frames=key_frames, labels=labels, paper=paper)
     return web_page(
@@ -187,54 +178,12 @@ def _is_there(summary: Mapping[str, Any], path: str) -> bool:
     return isinstance(node, Mapping) and last in node
 
 
-_PAGE = """<!DOCTYPE html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<title>{title}</title>
-<style>
-  :root {{ color-scheme: light; }}
-  body {{ font: 16px/1.5 system-ui, sans-serif; max-width: 60rem; margin: 2rem auto;
-         padding: 0 1rem; color: #222; background: #fff; }}
-  h1 {{ font-size: 1.6rem; margin-bottom: 0; }}
-  h2 {{ font-size: 1.2rem; margin: 2rem 0 .4rem; }}
-  h3 {{ font-size: 1rem; margin: 1.2rem 0 .2rem; }}
-  .verdict {{ border-left: .35rem solid #009e73; background: #f4f6f5; padding: .6rem .9rem; }}
-  .verdict.mixed {{ border-color: #e69f00; }}
-  .verdict.bad {{ border-color: #d55e00; }}
-  .facts {{ color: #666; margin-top: .2rem; }}
-  .tables {{ display: flex; flex-wrap: wrap; gap: 0 3rem; }}
-  table {{ border-collapse: collapse; margin-bottom: .6rem; }}
-  th, td {{ padding: .15rem .9rem .15rem 0; border-bottom: 1px solid #e4e4e4; text-align: right;
-           font-variant-numeric: tabular-nums; font-weight: normal; }}
-  th {{ color: #666; }}
-  th:first-child {{ text-align: left; color: #222; }}
-  td {{ overflow-wrap: anywhere; }}
-  figure {{ margin: 1.2rem 0 2rem; }}
-  figcaption {{ color: #666; }}
-  img {{ max-width: 100%; height: auto; }}
-  code {{ background: #f3f3f3; padding: .1rem .3rem; }}
-</style>
-</head>
-<body>
-<h1>{title}</h1>
-<p class="facts">{facts}</p>
-{body}
-{figures}
-</body>
-</html>
-"""
-
-
 def web_page(title: str, facts: str, body: str, figures: Mapping[str, bytes]) -> str:
     """Return a self-contained web page."""
-    return _PAGE.format(
-        title=html.escape(title),
-        facts=facts,
-        body=body,
-        figures="\n".join(picture(*each) for each in figures.items()),
-    )
+    page = (files("sonoservo.systems.evaluation.reports") / "page.html").read_text()
+    shown = "\n".join(picture(*each) for each in figures.items())
+    parts = {"title": html.escape(title), "facts": facts, "body": body, "figures": shown}
+    return Template(page).substitute(parts)
 
 
 def picture(caption: str, data: bytes) -> str:

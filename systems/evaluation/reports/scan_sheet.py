@@ -76,14 +76,9 @@ def show_view(axes: Axes, view: View, sweep: Sweep, shaft: Floats, radius: float
     )
     x, y = 1e3 * view.columns, 1e3 * view.rows
     half = 0.5e3 * _PIXEL
-    image = axes.imshow(
-        np.ma.masked_where(~inside, grey)[rows, columns],
-        extent=(x[0] - half, x[-1] + half, y[-1] + half, y[0] - half),
-        cmap="gray",
-        vmin=0,
-        vmax=255,
-        interpolation="bilinear",
-    )
+    extent = (x[0] - half, x[-1] + half, y[-1] + half, y[0] - half)
+    image = axes.imshow(np.ma.masked_where(~inside, grey)[rows, columns], extent=extent,
+                        cmap="gray", vmin=0, vmax=255, interpolation="bilinear")  # fmt: skip
     if len(shaft):
         _outline(axes, view, inside[rows, columns], shaft, radius)
     axes.set_facecolor(_PAPER)
@@ -137,30 +132,26 @@ def _frame_view(sweep: Sweep, brightest: Floats | None) -> View:
 
 
 def _slice_views(volume: Volume, needle: Needle, brightest: Floats | None) -> list[View]:
+    nowhere = np.zeros(3)
     if brightest is None:
-        texts = [
-            ("Slice at elevation 0", "lateral", "depth"),
-            ("Slice at lateral 0", "elevation", "depth"),
+        lateral, elevation = slice_planes(volume)
+        return [
+            _plane_view(lateral, ("Slice at elevation 0", "lateral", "depth"), nowhere),
+            _plane_view(elevation, ("Slice at lateral 0", "elevation", "depth"), nowhere),
         ]
-        origins = [np.zeros(3)] * 2
-        planes = slice_planes(volume)
-        return [_plane_view(*each) for each in zip(planes, texts, origins, strict=True)]
     size, centre = volume.upper - volume.origin, 0.5 * (volume.upper + volume.origin)
     elevation, depth = np.array([0, 0, 1.0]), np.array([0, 1.0, 0])
     R_PS = RotationMatrix(np.stack([elevation, depth, np.cross(elevation, depth)], axis=1))
     centre[0] = brightest[0]
-    planes = [
-        *slice_planes(volume, needle.curve),
-        Plane(RigidTransform(R_PS, centre), width=size[2], height=size[1]),
-    ]
+    beam, cross = slice_planes(volume, needle.curve)
+    frames = Plane(RigidTransform(R_PS, centre), width=size[2], height=size[1])
     (tip,) = volume.to_probe(needle.tip[np.newaxis])
-    texts = [
-        ("Slice along the needle and the beam", "along the needle, from the tip", "depth"),
-        ("Slice along the needle, across the beam", "along the needle, from the tip", "across it"),
-        ("Slice across the frames", "elevation", "depth"),
+    name, along = "Slice along the needle", "along the needle, from the tip"
+    return [
+        _plane_view(beam, ("Slice along the needle and the beam", along, "depth"), tip * [1, 0, 1]),
+        _plane_view(cross, (f"{name}, across the beam", along, "across it"), tip),
+        _plane_view(frames, ("Slice across the frames", "elevation", "depth"), nowhere),
     ]
-    origins = [tip * [1, 0, 1], tip, np.zeros(3)]
-    return [_plane_view(*each) for each in zip(planes, texts, origins, strict=True)]
 
 
 def _plane_view(plane: Plane, texts: tuple[str, str, str], origin: Floats) -> View:
@@ -185,15 +176,9 @@ def _outline(
     away = np.linalg.norm(view.p_P - shaft[-1], axis=-1)
     row, column = np.unravel_index(away.argmin(), away.shape)
     if away[row, column] < radius and inside[row, column]:
-        axes.annotate(
-            "tip",
-            xy=(x[column], y[row]),
-            xytext=(24, -30),
-            textcoords="offset points",
-            color=_NEEDLE,
-            fontsize=9,
-            arrowprops={"arrowstyle": "->", "color": _NEEDLE, "linewidth": 1.0, "shrinkB": 4},
-        )
+        arrow = {"arrowstyle": "->", "color": _NEEDLE, "linewidth": 1.0, "shrinkB": 4}
+        axes.annotate("tip", xy=(x[column], y[row]), xytext=(24, -30), textcoords="offset points",
+                      color=_NEEDLE, fontsize=9, arrowprops=arrow)  # fmt: skip
 
 
 _NAMES = ("X, along the array", "Y, along the sound", "Z, from frame to frame")
@@ -226,14 +211,10 @@ def orientation_sheet(volume: Volume, R_LP: RotationMatrix, *, caption: str = ""
                 continue
             x, y = part / np.linalg.norm(part) * [1, -1]
             arrow = {"arrowstyle": "->", "color": _NEEDLE}
-            axes.annotate(
-                "", xy=(0.5 + 0.3 * x, 0.5 + 0.3 * y), xytext=(0.5, 0.5),
-                xycoords="axes fraction", arrowprops=arrow,
-            )  # fmt: skip
-            axes.text(
-                0.5 + 0.38 * x, 0.5 + 0.35 * y, name, color=_NEEDLE, transform=axes.transAxes,
-                ha="center", va="center",
-            )  # fmt: skip
+            axes.annotate("", xy=(0.5 + 0.3 * x, 0.5 + 0.3 * y), xytext=(0.5, 0.5),
+                          xycoords="axes fraction", arrowprops=arrow)  # fmt: skip
+            axes.text(0.5 + 0.38 * x, 0.5 + 0.35 * y, name, color=_NEEDLE, ha="center",
+                      va="center", transform=axes.transAxes)  # fmt: skip
     if caption:
         figure.supxlabel(caption, fontsize=9)
     return figure

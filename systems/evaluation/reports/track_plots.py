@@ -1,4 +1,4 @@
-"""Plots of a needle tracked through a recording."""
+"""Pictures of the slices through a needle, the leaf that keeps them, and plots of a recording."""
 
 import io
 from collections.abc import Sequence
@@ -6,25 +6,35 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image
 from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.systems.framework import Context, LeafSystem
 
+from sonoservo.systems.evaluation.reports.plots import (
+    BLUE,
+    ESTIMATE,
+    GREEN,
+    ORANGE,
+    PURPLE,
+    TRUTH,
+)
 from sonoservo.systems.files.memory import require_memory
 from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
 from sonoservo.systems.files.writing import write_atomically
+from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.leaves import declare_looks, declare_memory
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
 from sonoservo.systems.signals.planes import sample_plane, slice_planes
+from sonoservo.systems.signals.ports import declare_inputs, evaluate
 from sonoservo.systems.signals.volume import Volume
 
 Floats = NDArray[np.float64]
 
 _PIXEL = 0.5e-3  # pixel size of a picture, in m
-
-_NEEDLE = "#D55E00"
-_COLOURS = ("#0072B2", "#CC79A7", "#009E73")
 
 PLANES_CAPTION = (
     "Volumes at even intervals, cut along the estimated needle: along the beam above, across it "
@@ -35,13 +45,11 @@ TIP_CAPTION = "The estimated tip in the file's own coordinates, and the length o
 
 
 @dataclass(frozen=True, eq=False)
-class PlanePicture:
-    """A slice through a volume as JPEG, and the needle in it."""
+class Picture:
+    """Grey levels as JPEG, and their left, right, bottom and top edges in mm."""
 
     jpeg: bytes
-    X_PS: RigidTransform  # pose in P of the picture's frame: X right, Y down, origin at its centre
-    extent: tuple[float, float, float, float]  # left, right, bottom, top in mm from its centre
-    needle: Floats  # (m, 2) points of the estimate, in mm; none without one
+    extent: tuple[float, float, float, float]
 
     @property
     def grey(self) -> NDArray[np.uint8]:
@@ -49,9 +57,42 @@ class PlanePicture:
         with Image.open(io.BytesIO(self.jpeg)) as image:
             return np.asarray(image)
 
+    def draw(self, axes: Axes) -> None:
+        """Draw the grey levels."""
+        axes.imshow(self.grey, cmap="gray", vmin=0, vmax=255, extent=self.extent)
+        axes.tick_params(labelsize=7)
+
+
+def encode_jpeg(grey: NDArray[np.uint8]) -> bytes:
+    """Return (rows, columns) grey levels as the bytes of a JPEG file."""
+    buffer = io.BytesIO()
+    Image.fromarray(np.ascontiguousarray(grey)).save(buffer, "JPEG", quality=90)
+    return buffer.getvalue()
+
+
+@dataclass(frozen=True, eq=False)
+class PlanePicture(Picture):
+    """A slice through a volume, with coordinates from its centre, and the needle in it."""
+
+    X_PS: RigidTransform  # pose in P of the picture's frame: X right, Y down, origin at its centre
+    needle: Floats  # (m, 2) points of the estimate, in mm; none without one
+
     def project(self, p_P: Floats) -> Floats:
         """Return the (m, 2) coordinates in the picture, in mm, of (m, 3) points in P, in m."""
         return 1e3 * self.X_PS.inverse().multiply(p_P.T).T.reshape(-1, 3)[:, :2]
+
+    def draw(self, axes: Axes, true: Floats | None = None) -> None:
+        """Draw the slice with the estimate, and with the true needle in P, in m, if it is given."""
+        super().draw(axes)
+        for points, colour, mark, style in (
+            (() if true is None else self.project(true), TRUTH, "+", "-"),
+            (self.needle, ESTIMATE, "o", (0, (3, 2))),
+        ):
+            if len(points):
+                axes.plot(*points.T, color=colour, linewidth=1, linestyle=style)
+                axes.plot(*points[-1], mark, color=colour, markersize=7, fillstyle="none")
+        axes.set_xlim(self.extent[:2])
+        axes.set_ylim(self.extent[2:])
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,15 +108,12 @@ def picture_planes(volume: Volume, mode: TrackingMode, curve: NeedleCurve | None
     """Slice a volume along the estimated needle in W, or through its middle if there is none."""
     points = np.zeros((0, 3))
     if curve is not None:
-        points = volume.to_probe(curve.position(np.linspace(0, 1, 21)))
+        points = volume.to_probe(curve.position(np.linspace(0, 1, _POINTS)))
     planes = []
     for plane in slice_planes(volume, curve):
-        half = 500 * np.array([plane.width, plane.height])
-        extent = (-half[0], half[0], half[1], -half[1])
-        buffer = io.BytesIO()
-        grey = sample_plane(volume, plane, _PIXEL)
-        Image.fromarray(grey).save(buffer, "JPEG", quality=90)
-        taken = PlanePicture(buffer.getvalue(), plane.X_PS, extent, np.zeros((0, 2)))
+        x, y = 500 * np.array([plane.width, plane.height])
+        jpeg = encode_jpeg(sample_plane(volume, plane, _PIXEL))
+        taken = PlanePicture(jpeg, (-x, x, y, -y), plane.X_PS, np.zeros((0, 2)))
         planes.append(replace(taken, needle=taken.project(points)))
     return VolumePictures(volume.time, mode, planes)
 
@@ -87,16 +125,7 @@ def plot_planes(pictures: list[VolumePictures]) -> Figure:
     axes = figure.subplots(2, columns, squeeze=False)
     for column, pictured in enumerate(pictures):
         for row, picture in enumerate(pictured.planes):
-            each = axes[row, column]
-            each.imshow(picture.grey, cmap="gray", vmin=0, vmax=255, extent=picture.extent)
-            if len(picture.needle):
-                each.plot(*picture.needle.T, color=_NEEDLE, linewidth=1, linestyle=(0, (3, 2)))
-                each.plot(
-                    *picture.needle[-1], marker="o", markersize=5, color=_NEEDLE, fillstyle="none"
-                )
-            each.set_xlim(picture.extent[:2])
-            each.set_ylim(picture.extent[2:])
-            each.tick_params(labelsize=7)
+            picture.draw(axes[row, column])
         axes[0, column].set_title(f"{pictured.time:.1f} s, {pictured.mode}", fontsize=9)
     for row, name in enumerate(("along the beam, mm", "across the beam, mm")):
         axes[row, 0].set_ylabel(name, fontsize=9)
@@ -110,12 +139,12 @@ def plot_tip(
     figure = Figure(figsize=(9, 5), layout="constrained")
     tip, length = figure.subplots(2, 1, sharex=True)
     confirmed = np.array([each.mode == TrackingMode.TRACKING for each in estimates])
-    for axis, colour, name in zip(range(3), _COLOURS, "LPS", strict=True):
-        tip.plot(times, 1e3 * p_LTip[:, axis], color=colour, linewidth=1.4, label=name)
-        unsure = np.where(confirmed, np.nan, 1e3 * p_LTip[:, axis])
+    for place, colour, name in zip(1e3 * p_LTip.T, (BLUE, PURPLE, GREEN), "LPS", strict=True):
+        tip.plot(times, place, color=colour, linewidth=1.4, label=name)
+        unsure = np.where(confirmed, np.nan, place)
         tip.plot(times, unsure, "o", color=colour, markersize=4, fillstyle="none")
     tip.set_title("Estimated tip in the file's coordinates (circles: not confirmed)", loc="left")
-    length.plot(times, 1e3 * in_view, color=_NEEDLE, linewidth=1.4)
+    length.plot(times, 1e3 * in_view, color=ORANGE, linewidth=1.4)
     length.set_title("Length in view", loc="left")
     for each in (tip, length):
         each.set_ylabel("mm")
@@ -164,20 +193,16 @@ def read_pictures(path: str | Path) -> list[VolumePictures]:
         counts, lengths = kept["planes"], kept["length"]
         if (counts < 0).any() or (lengths < 0).any() or lengths.sum() != len(kept["jpeg"]):
             raise ConfigurationError(f"{path} is damaged: its pictures are not as long as it says")
-        ends = np.cumsum(lengths)
-        planes = [
-            _plane(kept["jpeg"][end - length : end].tobytes(), *rest)
-            for end, length, *rest in zip(
-                ends, lengths, kept["X_PS"], kept["extent"], kept["needle"], strict=True
-            )
-        ]
-        last = np.cumsum(counts)
-        if last[-1:].sum() != len(planes) or not np.isfinite(kept["time"]).all():
+        pictures = np.split(kept["jpeg"], np.cumsum(lengths)[:-1]) if len(lengths) else []
+        rest = kept["X_PS"], kept["extent"], kept["needle"]
+        planes = iter([_plane(jpeg.tobytes(), *each) for jpeg, *each in
+                       zip(pictures, *rest, strict=True)])  # fmt: skip
+        if counts.sum() != len(pictures) or not np.isfinite(kept["time"]).all():
             raise ConfigurationError(f"{path} is damaged: volumes and slices do not match")
         return [
-            VolumePictures(float(time), TrackingMode(mode), planes[end - count : end])
-            for time, mode, count, end in zip(
-                kept["time"], kept["mode"].tolist(), counts, last, strict=True
+            VolumePictures(time, TrackingMode(mode), [next(planes) for _ in range(count)])
+            for time, mode, count in zip(
+                kept["time"].tolist(), kept["mode"].tolist(), counts, strict=True
             )
         ]
 
@@ -192,4 +217,49 @@ def _plane(jpeg: bytes, X_PS: np.ndarray, extent: np.ndarray, needle: np.ndarray
     if not (left < right and top < bottom):
         raise ValueError(f"the extent {extent.tolist()} of a slice is empty")
     shown = needle if np.isfinite(needle).all() else np.zeros((0, 2))
-    return PlanePicture(jpeg, pose, (left, right, bottom, top), shown)
+    return PlanePicture(jpeg, (left, right, bottom, top), pose, shown)
+
+
+_MOST = 400  # number of pictures above which every second one is dropped
+
+
+class PictureRecorder(LeafSystem):
+    """Keeps the two slices through the estimated needle of every new volume.
+
+    .. pydrake_system::
+
+        name: PictureRecorder
+        input_ports:
+        - volume
+        - estimate
+
+    A volume's pictures take 20 KB and 3 ms. Beyond 400, every second of the older ones is dropped.
+
+    Parameters
+    ----------
+    period, offset
+        Period of the checks for a new volume and time of the first one, in s.
+    """
+
+    def __init__(self, *, period: float, offset: float = 0.0) -> None:
+        super().__init__()
+        declare_inputs(self, volume=(Volume, NotFound), estimate=NeedleEstimate)
+        self._pictures = declare_memory(self, list[VolumePictures])
+        declare_looks(
+            self, self._look, period=period, offset=offset,
+            start=lambda context: self.pictures(context).clear(),
+        )  # fmt: skip
+
+    def pictures(self, context: Context) -> list[VolumePictures]:
+        """Return the pictures so far, in order of time."""
+        return self._pictures(context)
+
+    def _look(self, context: Context) -> None:
+        volume = evaluate(self, context, "volume", (Volume, NotFound))
+        estimate = evaluate(self, context, "estimate", NeedleEstimate)
+        kept = self.pictures(context)
+        if not isinstance(volume, Volume) or (kept and volume.time <= kept[-1].time):
+            return
+        kept.append(picture_planes(volume, estimate.mode, estimate.curve))
+        if len(kept) > _MOST:
+            del kept[1 : _MOST // 2 : 2]

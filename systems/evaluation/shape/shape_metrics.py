@@ -2,13 +2,13 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sonoservo.systems.evaluation.labels import look_up
-from sonoservo.systems.evaluation.log import Array, Column, Log, Row, columns, stack_rows
+from sonoservo.systems.evaluation.log import Array, Log, Row, column, columns, stack_rows
 from sonoservo.systems.evaluation.metrics import spread
 from sonoservo.systems.evaluation.reports.verdict import Verdict
 from sonoservo.systems.signals.bicycle_paths import deflections
@@ -97,17 +97,15 @@ class ShapeLog(Log):
     The truth is where the needle's axis would cross the slice if the tissue had not moved.
     """
 
-    depth: Annotated[Array, Column("depth of the slice", "m", ("n",))]
-    measured: Annotated[Array, Column("cross-section of the needle that was found", "m", ("n", 3))]
-    true: Annotated[Array, Column("truth: the needle's axis in the slice", "m", ("n", 3))]
-    correlation: Annotated[Array, Column("correlation with the template", "", ("n",))]
-    reason: Annotated[Array, Column("why no cross-section was found", "", ("n",), "U")]
-    tip: Annotated[
-        Array, Column("predicted x and y of the tip at full depth after the slice", "m", ("n", 2))
-    ]
-    tip_covariance: Annotated[Array, Column("covariance of `tip`", "m^2", ("n", 2, 2))]
-    image_s: Annotated[Array, Column("processor time of the tracker", "s", ("n",))]
-    estimate_s: Annotated[Array, Column("processor time of the estimator", "s", ("n",))]
+    depth: Array = column("depth of the slice", "m", "n")
+    measured: Array = column("cross-section of the needle that was found", "m", "n 3")
+    true: Array = column("truth: the needle's axis in the slice", "m", "n 3")
+    correlation: Array = column("correlation with the template", "", "n")
+    reason: Array = column("why no cross-section was found", "", "n", "U")
+    tip: Array = column("predicted x and y of the tip at full depth after the slice", "m", "n 2")
+    tip_covariance: Array = column("covariance of `tip`", "m^2", "n 2 2")
+    image_s: Array = column("processor time of the tracker", "s", "n")
+    estimate_s: Array = column("processor time of the estimator", "s", "n")
 
     @classmethod
     def from_rows(cls, rows: Sequence[Row], true_path: Callable[[Array], Array]) -> Self:

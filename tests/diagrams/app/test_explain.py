@@ -15,9 +15,9 @@ from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.recording.recording import Recording
 
 CHANGES = [
-    "duration=7.5",
+    "duration=5.8",
     "hand.start=0.5",
-    "hand.pushes=[{duration: 4.0, speed: 0.012}, {duration: 6.0, speed: -0.02}]",
+    "hand.pushes=[{duration: 3.0, speed: 0.016}, {duration: 6.0, speed: -0.03}]",
 ]
 """The needle is pushed in, and pulled out again."""
 

@@ -49,14 +49,6 @@ def test_the_needle_is_bright_where_it_truly_is_and_nowhere_beside(shown):
     assert needle.max() - np.median(beside) > 55
 
 
-def test_volume_and_slices_show_the_same(shown):
-    index = np.argwhere(shown.volume.intensities > 180)[::10]
-    grey = shown.sweep.sample(shown.volume.position(index), outside=np.nan)
-    assert len(index) > 5
-    assert np.isfinite(grey).all()
-    assert np.abs(grey - shown.volume.intensities[tuple(index.T)]).max() < 1
-
-
 def test_without_a_needle_the_probe_is_where_the_scenario_starts(scenario):
     empty = scan(scenario, time=0.0)
     assert not empty.needle

@@ -41,7 +41,12 @@ class DaskProcesses:
         process = subprocess.Popen(
             [sys.executable, "-m", "dask", *command, "--host", "127.0.0.1",
              "--scheduler-file", str(self._file), follow, preload.__name__],
-            env={**os.environ, "PYTHONPATH": path, preload.PARENT: str(os.getpid())},
+            env={
+                **os.environ,
+                "PYTHONPATH": path,
+                preload.PARENT: str(os.getpid()),
+                "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "1",
+            },
             stdout=self._log, stderr=self._log, start_new_session=True,
         )  # fmt: skip
         self._processes.append(process)

@@ -10,15 +10,13 @@ from pydrake.math import RigidTransform, RotationMatrix
 from scipy.spatial.transform import Rotation
 from still_tissue import LyingProbe, wandering
 
-from sonoservo.systems.calibration.pose_calibration import PoseCalibration
 from sonoservo.systems.calibration.pose_errors import (
+    PoseCalibration,
     PoseErrors,
-    estimate_pose_errors,
-    pose_equations,
-)
-from sonoservo.systems.calibration.tissue_displacement import (
     TissueDisplacement,
     displacement_between,
+    estimate_pose_errors,
+    pose_equations,
 )
 from sonoservo.systems.signals.acquisition import acquired_from
 from sonoservo.systems.signals.immutable import NotFound

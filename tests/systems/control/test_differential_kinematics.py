@@ -48,14 +48,9 @@ class Bench:
 
     def jacobian(self, q):
         self.plant.SetPositions(self.context, q)
-        frame = self.arm.probe.body_frame()
+        frame, W = self.arm.probe.body_frame(), self.plant.world_frame()
         return self.plant.CalcJacobianSpatialVelocity(
-            self.context,
-            JacobianWrtVariable.kV,
-            frame,
-            np.zeros(3),
-            self.plant.world_frame(),
-            frame,
+            self.context, JacobianWrtVariable.kV, frame, np.zeros(3), W, frame
         )
 
 
@@ -116,29 +111,14 @@ def test_joint_position_limits_hold():
     assert bench.command()[5] <= upper + 1e-6
 
 
-def test_direct_solution_is_drakes():
-    bench = Bench(ELBOW_UP, planar=(0.02, -0.01, 0.3), approach=0.01)
-    bench.simulator.AdvanceTo(0.0025)
-    limits = DifferentialInverseKinematicsParameters(6, 6)
-    limits.set_time_step(STEP)
-    J = bench.jacobian(ELBOW_UP)
-    wanted = np.array([0, 0.3, 0, 0.02, 0.01, -0.01])
-    result = DoDifferentialInverseKinematics(ELBOW_UP, np.zeros(6), wanted, J, limits)
-    np.testing.assert_allclose(bench.command()[6:], result.joint_velocities, atol=1e-7)
-
-
 def test_two_contexts_of_one_system_do_not_disturb_each_other():
     alone = Bench(ELBOW_UP, planar=(0.02, 0, 0.2))
     alone.simulator.AdvanceTo(0.1)
     first = Bench(ELBOW_UP, planar=(0.02, 0, 0.2))
     second = Simulator(first.leaf, first.leaf.CreateDefaultContext())
-    root = second.get_mutable_context()
-    for port, value in (
-        ("planar_velocity", (-0.03, 0.01, -0.3)),
-        ("approach_velocity", [0.02]),
-        ("joint_state", np.concatenate([ELBOW_UP + 0.2, np.zeros(6)])),
-    ):
-        first.leaf.GetInputPort(port).FixValue(root, value)
+    q = np.concatenate([ELBOW_UP + 0.2, np.zeros(6)])
+    for number, value in enumerate(((-0.03, 0.01, -0.3), [0.02], q)):
+        first.leaf.get_input_port(number).FixValue(second.get_mutable_context(), value)
     second.Initialize()
     for time in np.arange(STEP / 2, 0.1, STEP):
         first.simulator.AdvanceTo(time)
@@ -152,6 +132,7 @@ def test_two_contexts_of_one_system_do_not_disturb_each_other():
 
 
 IIWA = assemble_arm("lbr_iiwa_14").home
+ASIDE = IIWA + np.array([0.1, -0.05, 0.2, 0.1, -0.1, 0.05, 0.3])
 
 
 def test_seven_joints_move_the_probe_as_asked_and_come_home():
@@ -170,21 +151,21 @@ def test_seven_joints_move_the_probe_as_asked_and_come_home():
     assert away < 0.2 * np.exp(-6) + 5e-3
 
 
-def test_direct_solution_for_seven_joints_is_drakes():
-    q = IIWA + np.array([0.1, -0.05, 0.2, 0.1, -0.1, 0.05, 0.3])
-    bench = Bench(q, arm="lbr_iiwa_14", planar=(0.02, -0.01, 0.3), axis_gain=0.0)
+@pytest.mark.parametrize(("arm", "q"), [("viper_s850", ELBOW_UP), ("lbr_iiwa_14", ASIDE)])
+def test_direct_solution_is_drakes(arm, q):
+    bench, n = Bench(q, arm=arm, planar=(0.02, -0.01, 0.3), axis_gain=0.0), len(q)
     bench.simulator.AdvanceTo(STEP / 2)
-    limits = DifferentialInverseKinematicsParameters(7, 7)
+    limits = DifferentialInverseKinematicsParameters(n, n)
     limits.set_time_step(STEP)
-    limits.set_nominal_joint_position(IIWA)
-    limits.set_joint_centering_gain(0.5 * np.eye(7))
+    J, v = bench.jacobian(q), bench.command()[n:]
+    if n == 7:
+        limits.set_nominal_joint_position(IIWA)
+        limits.set_joint_centering_gain(0.5 * np.eye(7))
+        null = np.linalg.svd(J)[2][-1]
+        assert null @ v == pytest.approx(0.5 * null @ (IIWA - q), abs=1e-9)
     wanted = np.array([0, 0.3, 0, 0.02, 0, -0.01])
-    J = bench.jacobian(q)
-    result = DoDifferentialInverseKinematics(q, np.zeros(7), wanted, J, limits)
-    v = bench.command()[7:]
     np.testing.assert_allclose(J @ v, wanted, atol=1e-9)
-    null = np.linalg.svd(J)[2][-1]
-    assert null @ v == pytest.approx(0.5 * null @ (IIWA - q), abs=1e-9)
+    result = DoDifferentialInverseKinematics(q, np.zeros(n), wanted, J, limits)
     np.testing.assert_allclose(v, result.joint_velocities, atol=1e-3)
 
 

@@ -16,30 +16,15 @@ from sonoservo.systems.control.force_law import (
 STEP = 0.005
 
 
-@given(
-    angles=st.tuples(*3 * [st.floats(-3, 3)]),
-    force=st.floats(0, 5),
-    mass=st.floats(0.1, 2),
-)
+@given(angles=st.tuples(*3 * [st.floats(-3, 3)]), force=st.floats(0, 5), mass=st.floats(0.1, 2))
 def test_pressing_force_is_free_of_the_weight_in_any_posture(angles, force, mass):
     R_WP = RollPitchYaw(angles).ToRotationMatrix()
     weight_P = R_WP.inverse().multiply([0, 0, -9.81 * mass])
     contact_P = np.array([0.3, -force, -0.2])
     # At rest the arm bears what weight and contact leave.
     wrist_force = SpatialForce(np.ones(3), -(weight_P + contact_P))
-    assert pressing_force(
-        wrist_force, RigidTransform(R_WP, [0.1, 0.2, 0.3]), mass
-    ) == pytest.approx(force, abs=1e-9)
-
-
-def test_approach_is_at_constant_speed_until_contact():
-    parameters = ForceControllerParameters(approach_speed=0.007)
-    state = ForceState()
-    for _ in range(100):
-        assert approach_velocity(state, parameters) == 0.007
-        state = next_state(state, 0.1, STEP, parameters)
-    assert not state.in_contact
-    assert state.integral == 0
+    found = pressing_force(wrist_force, RigidTransform(R_WP, [0.1, 0.2, 0.3]), mass)
+    assert found == pytest.approx(force, abs=1e-9)
 
 
 def test_filter_is_of_first_order():
@@ -103,9 +88,3 @@ def test_a_spring_is_pressed_with_the_wanted_force(stiffness):
         state = next_state(state, force, STEP, parameters)
     assert max(forces) < 2.5
     np.testing.assert_allclose(forces[-200:], 2, atol=0.01)
-
-
-@pytest.mark.parametrize("force", [3.0, 0.1])
-def test_contact_begins_between_release_and_the_wanted_force(force):
-    with pytest.raises(ValueError, match="touch_force"):
-        ForceControllerParameters(touch_force=force)

@@ -18,30 +18,21 @@ from sonoservo.systems.display.colours import (
 # How a colour without its blue, green or red cones is seen, in linear RGB: Machado, Oliveira and
 # Fernandes 2009, table 1, severity 1.
 VISION = {
-    "normal": np.eye(3),
-    "protanopia": [
-        [0.152286, 1.052583, -0.204868],
-        [0.114503, 0.786281, 0.099216],
-        [-0.003882, -0.048116, 1.051998],
-    ],
-    "deuteranopia": [
-        [0.367322, 0.860646, -0.227968],
-        [0.280085, 0.672501, 0.047413],
-        [-0.011820, 0.042940, 0.968881],
-    ],
-    "tritanopia": [
-        [1.255528, -0.076749, -0.178779],
-        [-0.078411, 0.930809, 0.147602],
-        [0.004733, 0.691367, 0.303900],
-    ],
-}
+    "normal": np.eye(3).ravel(),
+    "protanopia": [0.152286, 1.052583, -0.204868, 0.114503, 0.786281, 0.099216,
+                   -0.003882, -0.048116, 1.051998],
+    "deuteranopia": [0.367322, 0.860646, -0.227968, 0.280085, 0.672501, 0.047413,
+                     -0.011820, 0.042940, 0.968881],
+    "tritanopia": [1.255528, -0.076749, -0.178779, -0.078411, 0.930809, 0.147602,
+                   0.004733, 0.691367, 0.303900],
+}  # fmt: skip
 
 
 def seen(colour, vision):
     """CIE L*a*b* of an sRGB colour as somebody sees it."""
     c = np.array(colour)
     linear = np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)
-    linear = np.clip(VISION[vision] @ linear, 0, 1)
+    linear = np.clip(np.reshape(VISION[vision], (3, 3)) @ linear, 0, 1)
     c = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
     return rgb2lab(c.reshape(1, 1, 3)).ravel()
 

@@ -72,14 +72,6 @@ def test_every_pixel_is_at_its_place():
     np.testing.assert_array_equal(np.array(png), image)
 
 
-@pytest.mark.parametrize("shape", [(5, 4), (5, 4, 2), (5, 4, 4)])
-def test_pictures_survive(shape):
-    image = np.random.default_rng(0).integers(0, 256, shape, dtype=np.uint8)
-    document = json.loads(gltf_textured_quads([PLANE], [encode_png(image)]))
-    png = Image.open(io.BytesIO(picture_file(document)))
-    np.testing.assert_array_equal(np.array(png), image)
-
-
 def test_a_webp_keeps_the_opacity_and_nearly_the_grey():
     rows, columns = np.mgrid[:40, :60]
     grey = 120 + 80 * np.sin(0.2 * rows) * np.cos(0.1 * columns)
@@ -92,11 +84,6 @@ def test_a_webp_keeps_the_opacity_and_nearly_the_grey():
     opaque = image[..., 1] > 0
     assert np.abs(seen[opaque, 0].astype(float) - image[opaque, 0]).mean() < 3
     assert len(webp) < len(encode_png(image))
-
-
-def test_planes_and_pictures_must_match():
-    with pytest.raises(ValueError, match="zip"):
-        gltf_textured_quads([PLANE, PLANE], [encode_png(np.zeros((2, 2), np.uint8))])
 
 
 def test_text_is_drawn_whole_on_its_ground():

@@ -30,11 +30,6 @@ def test_at_the_tip_it_is_the_tip_s_error(tip):
     assert deviation(line(-0.02, 0.02), estimate, GEOMETRY) == pytest.approx(abs(tip - 0.02))
 
 
-def test_beside_the_needle_it_is_the_distance():
-    estimate = NeedleCurve(line(-0.02, 0.02, DEPTH + 1e-3, order=3))
-    assert deviation(line(-0.02, 0.02), estimate, GEOMETRY) == pytest.approx(1e-3)
-
-
 def test_what_is_before_the_estimated_entry_or_outside_the_image_does_not_count():
     estimate = NeedleCurve(line(-0.02, 0.02, order=2))
     assert deviation(line(-0.2, 0.02), estimate, GEOMETRY) < 0.3e-3

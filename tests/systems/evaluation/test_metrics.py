@@ -4,28 +4,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sonoservo.systems.evaluation.metrics import MetricsParameters, summarize
+from sonoservo.systems.evaluation.metrics import summarize
 
 
 def test_the_whole_summary_is_json(insertion_log, make_log):
     for log in (insertion_log, make_log(0, 0), make_log(5, 3), make_log(1, 0, time=np.zeros(1))):
         json.dumps(summarize(log), allow_nan=False)
-
-
-def test_a_log_without_anything_has_no_figures(make_log):
-    summary = summarize(make_log(4, 2, time=np.arange(4.0)))
-    assert summary["detection"] == {
-        "volume": None,
-        "inserted_mm": None,
-        "visible_mm": None,
-        "false_starts": 0,
-        "reason": None,
-        "advice": None,
-    }
-    assert summary["tracking"]["volumes"] == 0
-    assert summary["tracking"]["tip_error_mm"] == {"median": None, "p95": None, "max": None}
-    assert summary["servo"]["at_rest"]["x_mm"] is None
-    assert summary["force"]["mean_n"] is None
+    assert summarize(insertion_log)["compute_ms"] == {"track": {"median": 5.0, "max": 9.0}}
+    nothing = summarize(make_log(4, 2, time=np.arange(4.0)))
+    assert nothing["detection"].pop("false_starts") == nothing["tracking"]["volumes"] == 0
+    assert set(nothing["detection"].values()) == {None}
+    assert set(nothing["tracking"]["tip_error_mm"].values()) == {None}
+    assert nothing["servo"]["at_rest"]["x_mm"] is nothing["force"]["mean_n"] is None
 
 
 def test_detection(insertion_log):
@@ -166,11 +156,9 @@ def test_servo(insertion_log):
         for end in (12.0, 12.5)
     )
     assert least < servo["moving"]["x_mm"] < most
-
-
-def test_a_needle_in_a_moving_phantom_is_not_at_rest(insertion_log):
     tip = insertion_log.needle_tip + 5e-3 * np.sin(insertion_log.time)[:, np.newaxis]
-    assert summarize(replace(insertion_log, needle_tip=tip))["servo"]["at_rest"]["x_mm"] is None
+    moving = summarize(replace(insertion_log, needle_tip=tip))["servo"]  # the phantom moves
+    assert moving["at_rest"]["x_mm"] is None
 
 
 @pytest.mark.parametrize(("speed", "touched"), [(0.0, False), (0.01, None)])
@@ -214,14 +202,3 @@ def test_stops_and_refusals(insertion_log):
         "interventions": 3, "reasons": "too much force; frozen", "stopped_at_end": "frozen",
         "volumes_refused": 2, "refusal": "it is blank",
     }  # fmt: skip
-
-
-def test_computing_time(insertion_log):
-    assert summarize(insertion_log)["compute_ms"] == {"track": {"median": 5.0, "max": 9.0}}
-
-
-def test_parameters_are_checked():
-    with pytest.raises(ValueError, match="rest_speed: 0 is not allowed"):
-        MetricsParameters(rest_speed=0)
-    with pytest.raises(ValueError, match="settling_time: -1 is not allowed"):
-        MetricsParameters(settling_time=-1)

@@ -3,13 +3,13 @@ from dataclasses import replace
 import numpy as np
 from pydrake.common.value import Value
 
-from sonoservo.systems.evaluation.reports import picture_recorder
-from sonoservo.systems.evaluation.reports.picture_recorder import PictureRecorder
+from sonoservo.systems.evaluation.reports import track_plots
+from sonoservo.systems.evaluation.reports.track_plots import PictureRecorder
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
 
 
 def test_a_long_run_keeps_fewer_pictures_of_its_beginning(make_volume, monkeypatch):
-    monkeypatch.setattr(picture_recorder, "picture_planes", lambda volume, mode, curve: volume)
+    monkeypatch.setattr(track_plots, "picture_planes", lambda volume, mode, curve: volume)
     recorder = PictureRecorder(period=0.1)
     context = recorder.CreateDefaultContext()
     estimate = NeedleEstimate(TrackingMode.SEARCHING, 0.0)

@@ -13,10 +13,8 @@ from sonoservo.systems.evaluation.reports.plots import plot_errors, plot_run, pn
 from sonoservo.systems.evaluation.reports.report import (
     Change,
     Story,
-    facts_text,
     report_page,
     save_replay,
-    write_report,
 )
 from sonoservo.systems.evaluation.reports.verdict import following_verdict
 
@@ -76,9 +74,9 @@ def test_phases_are_shaded(insertion_log):
     assert [text.get_text() for text in legend.get_texts()] == ["searching", "lost"]
 
 
-def test_page(insertion_log):
+def test_page(insertion_log, make_log):
     picture = png(plot_errors(insertion_log), dpi=20)
-    summary = {"scenario": "fig <5>", "seed": 3, **summarize(insertion_log)}
+    summary = {"scenario": "fig <5>", "seed": 3, "compile_s": 27.2, **summarize(insertion_log)}
     text = report_page(
         summary,
         {"Errors & co": picture},
@@ -95,7 +93,7 @@ def test_page(insertion_log):
     )
     page = Page(text)
     assert "<h1>fig &lt;5&gt;</h1>" in text
-    assert "seed 3" in text
+    assert "seed 3 · compiling kernels took 27 s more, which no figure counts" in text
     assert "<strong>The needle was found and followed.</strong> It was found" in text
     assert "A needle &lt;18 gauge&gt; is pushed in." in text
     assert "sonoservo run fig5" in text
@@ -105,31 +103,11 @@ def test_page(insertion_log):
     assert ["at rest: mean |X|, true, mm", "0", "1.10"] in page.rows
     (mean,) = (row for row in page.rows if row[0] == "contact force, mean, N")
     assert mean[2] == "2.00"
+    assert not [row[0] for row in page.rows if "_" in row[0]]  # no raw keys
+    nothing = Page(report_page(summarize(make_log(0, 0)), {}))
+    assert ["needle in view at detection, mm", "–"] in nothing.rows
     pictures = re.findall(r"data:image/png;base64,([^\"]+)", text)
     assert [base64.b64decode(data) for data in pictures] == 2 * [picture]
-
-
-def test_page_shows_no_raw_keys(insertion_log):
-    text = report_page({"scenario": "mine", "seed": 3, **summarize(insertion_log)}, {})
-    labels = [row[0] for row in Page(text).rows if row[0]]
-    assert len(labels) > 20
-    assert not [label for label in labels if "_" in label]
-
-
-def test_page_without_a_needle(tmp_path, make_log):
-    summary = summarize(make_log(0, 0))
-    path = write_report(tmp_path / "report.html", summary, {})
-    page = Page(path.read_text())
-    assert ["needle in view at detection, mm", "–"] in page.rows
-    assert page.links == []
-
-
-def test_facts_leave_out_compilation_and_say_so():
-    times = {"simulated_s": 12.0, "wall_s": 4.0, "real_time_factor": 3.0, "compile_s": 27.2}
-    assert facts_text({"seed": 1, **times}) == (
-        "seed 1 · 12.0 s simulated in 4.0 s (3.0 x real time) · compiling kernels took 27 s more, "
-        "which no figure counts"
-    )
 
 
 def test_replay_moves_by_itself(tmp_path):

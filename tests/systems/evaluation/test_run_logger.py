@@ -64,31 +64,28 @@ def test_a_sample_and_a_volume():
     context.SetTime(0.7)
     logger.ForcedPublish(context)
     log = logger.log(context, compute={"render": [0.04]})
-    assert log.time == [0.7]
-    np.testing.assert_array_equal(log.X_WP, [X_WP.GetAsMatrix4()])
-    np.testing.assert_array_equal(log.X_WT, [X_WT.GetAsMatrix4()])
-    np.testing.assert_allclose(log.needle_tip, [X_WT.multiply([0.03, 0.04, 0])])
-    np.testing.assert_allclose(log.needle_entry, [X_WT.translation()])
-    np.testing.assert_allclose(log.inserted_length, [0.07])
-    assert log.estimate_mode == ["tracking"]
-    np.testing.assert_array_equal(log.estimate_tip, [CURVE.tip])
-    np.testing.assert_allclose(log.estimate_direction, [CURVE.direction])
-    np.testing.assert_array_equal(log.estimate_velocity, [[0.001, 0.002, 0.003]])
-    np.testing.assert_array_equal(log.joint_state, [np.arange(12)])
-    np.testing.assert_array_equal(log.contact_force, [2.5])
-    np.testing.assert_array_equal(log.wrist_force, [[1, 2, 3, 4, 5, 6]])
-    np.testing.assert_array_equal(log.planar_velocity, [[0.1, 0.2, 0.3]])
-    assert (log.guard_state, log.guard_reason) == (["holding"], ["the sensor is frozen"])
-    assert log.hold_reason == ["the tip is uncertain by 35 mm"]
-    assert log.volumes_refused == [2]
-    assert log.refusal_reason == ["a volume is refused: it is blank"]
-    assert (log.volume_time, log.volume_seen) == ([0.5], [0.7])
-    assert (log.volume_detected, log.volume_detection_reason) == ([False], ["nothing moved"])
-    assert (log.volume_measured_time, log.volume_inlier_count) == ([0.6], [300])
-    np.testing.assert_array_equal(log.volume_measured_tip, [CURVE.tip])
-    assert log.volume_measurement_reason == [""]
-    np.testing.assert_array_equal(log.volume_estimate_entry, [CURVE.entry])
-    np.testing.assert_array_equal(log.compute["render"], [0.04])
+    wanted = {
+        "time": 0.7, "X_WP": X_WP.GetAsMatrix4(), "X_WT": X_WT.GetAsMatrix4(),
+        "needle_tip": X_WT.multiply([0.03, 0.04, 0]), "needle_entry": X_WT.translation(),
+        "inserted_length": 0.07, "estimate_tip": CURVE.tip, "estimate_direction": CURVE.direction,
+        "estimate_velocity": [0.001, 0.002, 0.003], "joint_state": np.arange(12),
+        "contact_force": 2.5, "wrist_force": [1, 2, 3, 4, 5, 6], "planar_velocity": [0.1, 0.2, 0.3],
+        "volumes_refused": 2, "volume_time": 0.5, "volume_seen": 0.7, "volume_detected": False,
+        "volume_measured_time": 0.6, "volume_inlier_count": 300, "volume_measured_tip": CURVE.tip,
+        "volume_estimate_entry": CURVE.entry,
+    }  # fmt: skip
+    for name, value in wanted.items():
+        np.testing.assert_allclose(getattr(log, name), [value], atol=1e-15, err_msg=name)
+    words = {
+        "estimate_mode": "tracking", "guard_state": "holding",
+        "guard_reason": "the sensor is frozen", "hold_reason": "the tip is uncertain by 35 mm",
+        "refusal_reason": "a volume is refused: it is blank",
+        "volume_detection_reason": "nothing moved", "volume_measurement_reason": "",
+    }  # fmt: skip
+    assert {name: getattr(log, name).tolist() for name in words} == {
+        name: [value] for name, value in words.items()
+    }
+    assert log.compute["render"] == [0.04]
 
 
 def test_what_is_not_there_is_missing():
@@ -137,27 +134,6 @@ def test_measured_and_true_motion_are_both_kept():
     np.testing.assert_array_equal(log.volume_true_time, [0.48, np.nan])
 
 
-def test_a_wrong_value_is_refused():
-    logger = RunLogger()
-    context = connected(logger)
-    logger.GetInputPort("needle").FixValue(context, Value[object](CURVE))
-    with pytest.raises(
-        TypeError, match="port 'needle' .* received a value of type NeedleCurve; expected Needle"
-    ):
-        logger.ForcedPublish(context)
-
-
-def test_before_the_first_volume_there_is_no_row():
-    logger = RunLogger()
-    context = connected(logger)
-    nothing = NeedleEstimate(TrackingMode.SEARCHING, 0.0)
-    logger.GetInputPort("estimate").FixValue(context, Value[object](nothing))
-    logger.ForcedPublish(context)
-    log = logger.log(context)
-    assert len(log.time) == 1
-    assert len(log.volume_time) == 0
-
-
 class Tracker(LeafSystem):
     """Has seen the volume of the time of its every event, 0.1 s before."""
 
@@ -187,23 +163,6 @@ def log_of(logger, simulator):
     return logger.log(logger.GetMyContextFromRoot(simulator.get_context()))
 
 
-def test_two_contexts_of_one_diagram_keep_logs_of_their_own():
-    logger = RunLogger()
-    first = simulate(logger)
-    diagram = first.get_system()
-    second = Simulator(diagram)
-    for time in (0.5, 1.0):  # in turns
-        first.AdvanceTo(time)
-        second.AdvanceTo(2 * time)
-    np.testing.assert_array_equal(log_of(logger, first).time, np.arange(33) / 32)
-    np.testing.assert_array_equal(log_of(logger, second).time, np.arange(65) / 32)
-    assert len(log_of(logger, second).volume_time) == 8
-    copy = Simulator(diagram, first.get_context().Clone())
-    second.Initialize()  # forgets what that run has kept, and nothing else
-    assert len(log_of(logger, second).time) == 1
-    assert len(log_of(logger, first).time) == len(log_of(logger, copy).time) == 33
-
-
 def test_in_a_diagram_every_sample_and_volume_is_kept_once():
     logger = RunLogger(period=1 / 32, volume_period=0.25, volume_offset=0.2 + 1e-6)
     simulator = simulate(logger)
@@ -212,25 +171,12 @@ def test_in_a_diagram_every_sample_and_volume_is_kept_once():
     np.testing.assert_array_equal(log.time, np.arange(0, 65) / 32)
     np.testing.assert_allclose(log.volume_time, 0.1 + 0.25 * np.arange(8))
     np.testing.assert_allclose(log.volume_seen, 0.2 + 0.25 * np.arange(8) + 1e-6)
-    assert log.estimate_mode[6] == "searching"  # 0.1875 s
+    assert log.estimate_mode[6] == "searching"  # 0.1875 s, before the first volume
     assert log.estimate_mode[7] == "tracking"
-
-
-@pytest.mark.parametrize("another_context", [False, True])
-def test_each_run_begins_anew(another_context):
-    logger = RunLogger()
-    simulator = simulate(logger)
-    simulator.AdvanceTo(1.0)
-    if another_context:
-        simulator.reset_context(simulator.get_system().CreateDefaultContext())
-    else:
-        simulator.get_mutable_context().SetTime(0.0)
-        simulator.get_system().SetDefaultContext(simulator.get_mutable_context())
-    simulator.Initialize()
-    simulator.AdvanceTo(0.5)
-    log = log_of(logger, simulator)
-    np.testing.assert_array_equal(log.time, np.arange(0, 17) / 32)
-    np.testing.assert_allclose(log.volume_time, [0.1, 0.35])
+    simulator.get_mutable_context().SetTime(0.0)
+    simulator.Initialize()  # each run begins anew
+    assert len(log_of(logger, simulator).time) == 1
+    assert len(log_of(logger, simulator).volume_time) <= 1
 
 
 def test_an_interrupted_run_keeps_its_log(tmp_path):
@@ -249,13 +195,6 @@ def test_an_interrupted_run_keeps_its_log(tmp_path):
     assert 0.9 < log.time[-1] <= 1.1
     assert len(log.volume_time) == 4
     assert summarize(log)["simulated_s"] == log.time[-1]
-
-
-def test_parameters_are_checked():
-    with pytest.raises(ValueError, match="period: 0 is not allowed"):
-        RunLogger(period=0)
-    with pytest.raises(ValueError, match="volume_period: -1 is not allowed"):
-        RunLogger(volume_period=-1)
 
 
 def test_length_in_view_ends_where_the_sector_ends():

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 from scipy.special import i0
-from tip_study.bound import envelope_log_likelihood, field_log_likelihood, tip_error_bound
+from tip_study.bound import envelope_log_likelihood, field_log_likelihood
 from tip_study.needle_end import EchoModel, EndSamples, NeedleEnd, echo_model, samples_near
 
 from sonoservo.systems.signals.point_spread import FWHM_PER_SIGMA, PointSpread
@@ -91,24 +91,6 @@ def test_maximum_likelihood_attains_the_bound_of_a_mirror_like_end(end, least, m
     errors = tips[[int(each.argmax()) for each in likelihoods]]
     assert least < bound / cramer_rao(end, line(0.75)) < most
     assert 0.85 * bound < np.sqrt(np.mean(errors**2)) < 1.5 * bound
-
-
-def bound(end=None, scale=1.0, **how):
-    widths = [scale * SPREAD.widths(np.zeros(1))[:, i] for i in range(3)]
-    how = {"depth": 0.05, "dip_deg": 30.0, "volumes": 14, "particles": 25} | how
-    return tip_error_bound(end or NeedleEnd(), GEOMETRY, PointSpread(np.zeros(1), *widths), **how)
-
-
-def test_the_posterior_mean_attains_it_and_phases_tell_more():
-    found = bound()
-    assert np.sqrt(np.mean(found.errors**2)) == pytest.approx(found.std, rel=0.4)
-    assert 0.6 * found.std < found.field_std < found.std
-
-
-def test_contrast_lowers_it_and_a_bevel_that_does_not_echo_raises_it():
-    clear = bound(NeedleEnd(shaft_db=30), volumes=5).std
-    assert clear < 0.8 * bound(NeedleEnd(shaft_db=18), volumes=5).std
-    assert bound(NeedleEnd(shaft_db=30, bevel_length=3e-3), volumes=5).std > 1.5 * clear
 
 
 def test_the_blur_on_the_axis_is_the_unit_of_length():

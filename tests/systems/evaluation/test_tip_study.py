@@ -3,23 +3,12 @@
 import numpy as np
 import pytest
 from tip_study import End, end_of, study
-from tip_study.bound import TipBound
 from tip_study.needle_end import echo_model, samples_near
 from tip_study.needles import RADIUS, scanner, sweep_with
 from tip_study.runs import best_error_along, bound_of, noise_db
-from tip_study.tables import HEAD, figures, plot
+from tip_study.tables import HEAD, plot
 
 STEEP = End(40, 0.05, "blunt", 20)
-
-
-def test_the_figures_are_those_of_the_volumes_with_a_needle():
-    errors = 1e-3 * np.array([0.5, 1.5, np.nan, 0.5, 1.5])
-    bound = TipBound(np.zeros(3), np.full(3, 0.25e-6), np.full(3, 0.04e-6))
-    found = figures(errors, bound)
-    assert (found.found, found.bias) == pytest.approx((0.8, 1.0))
-    assert (found.least, found.with_phases) == pytest.approx((0.5, 0.2))
-    assert found.ratio == pytest.approx(found.deviation / 0.5)
-    assert found.low < found.ratio <= found.high
 
 
 def test_the_study_prints_a_line_for_each_kind_of_needle(tmp_path):

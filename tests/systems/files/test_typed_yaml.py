@@ -33,6 +33,12 @@ class Bicycle:
 
 
 @dataclass(kw_only=True)
+class Tandem:
+    trailer: Wheel | None = None
+    wheels: list[Wheel] = field(default_factory=lambda: [Wheel()])
+
+
+@dataclass(kw_only=True)
 class Lock:
     kind: str = "lock"
     keys: int = 2
@@ -52,6 +58,13 @@ class Stand:
     guard: Lock | Chain = field(default_factory=Lock)
     tether: Lock | Chain = field(default_factory=Chain)
     more: list[Lock | Chain] = field(default_factory=list)
+
+
+def test_a_hint_names_a_section_that_is_in_use():
+    with pytest.raises(ConfigurationError, match=r"did you mean 'wheels\.0\.spokes'"):
+        load_typed(Tandem, {"spokes": 3}, "x")
+    with pytest.raises(ConfigurationError, match=r"did you mean 'trailer\.spokes'"):
+        load_typed(Tandem, {"trailer": {"radius": 0.3}, "spokes": 3}, "x")
 
 
 def test_loads_over_defaults():

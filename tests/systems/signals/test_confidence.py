@@ -1,7 +1,11 @@
 import numpy as np
 import pytest
 
-from sonoservo.systems.signals.confidence import RADIUS_95, SQUARED_DISTANCE_95
+from sonoservo.systems.signals.confidence import (
+    RADIUS_95,
+    SQUARED_DISTANCE_95,
+    confidence_ellipsoid,
+)
 
 
 def test_95_percent_of_a_normal_distribution_in_a_plane_lie_within():
@@ -9,3 +13,17 @@ def test_95_percent_of_a_normal_distribution_in_a_plane_lie_within():
     outside = np.exp(-0.5 * SQUARED_DISTANCE_95)
     assert outside == pytest.approx(0.05)
     assert pytest.approx(RADIUS_95, abs=1e-4) == 2.4477
+
+
+@pytest.mark.parametrize("probability", [0.5, 0.95])
+def test_an_ellipsoid_holds_as_many_normal_samples_as_it_says(probability):
+    rng = np.random.default_rng(0)
+    factor = rng.normal(size=(3, 3))
+    samples = rng.normal(size=(20_000, 3)) @ factor.T
+    axes, half_axes = confidence_ellipsoid(factor @ factor.T, probability)
+    inside = (((samples @ axes) / half_axes) ** 2).sum(axis=1) < 1
+    assert inside.mean() == pytest.approx(probability, abs=0.015)
+    assert np.linalg.det(axes) == pytest.approx(1)
+    assert not confidence_ellipsoid(np.zeros((3, 3)))[1].any()
+    with pytest.raises(ValueError, match="probability: 95 is not allowed"):
+        confidence_ellipsoid(np.eye(3), 95)

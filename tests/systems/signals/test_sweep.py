@@ -86,17 +86,18 @@ def test_contains_only_what_both_directions_sweep():
     assert not geometry.contains(np.array([0, -0.001, 0]))
 
 
-def test_to_world_uses_each_frames_own_pose_and_time():
+@pytest.mark.parametrize("direction", [1, -1])
+def test_to_world_uses_each_frames_own_pose_and_time(direction):
     geometry = SweepGeometry(**CONVEX)
     X_WP = np.repeat(np.eye(4)[np.newaxis], 27, axis=0)
     X_WP[:, 0, 3] = 1e-3 * np.arange(27)  # the probe moves 1 mm a frame along X
-    times = 2 + 0.0113 * np.arange(27)
-    motion = SweepMotion(geometry, 1, times, X_WP)
+    times = 2 + 0.0113 * np.arange(27)[::direction]
+    motion = SweepMotion(geometry, direction, times, X_WP)
     k = np.array([0.0, 3.5, 26.0])
-    p_P = geometry.position(k, 40, 150, 1)
+    p_P = geometry.position(k, 40, 150, direction)
     p_W, t = motion.to_world(p_P)
     assert np.allclose(p_W - p_P, np.outer(1e-3 * k, [1, 0, 0]), atol=1e-9)
-    assert np.allclose(t, 2 + 0.0113 * k)
+    assert np.allclose(t, np.interp(k, np.arange(27), times))
     assert motion.time == pytest.approx(2 + 0.0113 * 13)
 
 

@@ -2,13 +2,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from pydrake.math import RigidTransform, RollPitchYaw
+from pydrake.math import RigidTransform
 from synthetic_volumes import Scene
 
-from sonoservo.systems.signals.sweep import SweepGeometry, SweepMotion
 from sonoservo.systems.signals.volume import Volume
-
-GEOMETRY = SweepGeometry(0.04, 0.027, 0.02, 0.03, 1e-3, 40, 11, 80, 0.01)
 
 
 def make(**changes):
@@ -34,23 +31,6 @@ def test_without_motion_all_of_it_was_seen_from_one_pose():
     np.testing.assert_allclose(p_W, p_P + np.array([1, 2, 3]))
     np.testing.assert_array_equal(times, [0.5])
     np.testing.assert_allclose(make().to_probe(p_W), p_P)
-
-
-@pytest.mark.parametrize("direction", [1, -1])
-def test_with_motion_each_point_was_seen_from_its_frame(direction):
-    poses = np.array(
-        [
-            RigidTransform(RollPitchYaw(0, 0, 0.01 * k), [0.001 * k, 0, 0]).GetAsMatrix4()
-            for k in range(11)
-        ]
-    )
-    times = 2 + 0.01 * np.arange(11)[::direction]
-    motion = SweepMotion(GEOMETRY, direction, times, poses)
-    p_P = GEOMETRY.position(7, 20, 50, direction)[np.newaxis]
-    p_W, when = make(motion=motion).to_world(p_P)
-    np.testing.assert_allclose(p_W[0], RigidTransform(poses[7]).multiply(p_P[0]), atol=1e-12)
-    assert when[0] == pytest.approx(times[7])
-    assert motion.time == pytest.approx(2.05)
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ import io
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import nrrd
 import numpy as np
@@ -14,7 +14,7 @@ from sonoservo.systems.files.nrrd_reader import SPACES, open_nrrd
 from sonoservo.systems.files.refusals import refusing_failures
 from sonoservo.systems.files.volume_file import MAX_DEFLATED, check_layout, require_voxels
 from sonoservo.systems.files.writing import write_atomically
-from sonoservo.systems.signals.immutable import Immutable, read_only
+from sonoservo.systems.signals.immutable import Immutable, Shape
 from sonoservo.systems.signals.requirements import require
 
 LABEL_MAP_SUFFIXES = (".nrrd", ".nhdr", ".nii", ".nii.gz")
@@ -41,13 +41,11 @@ class LabelMap(Immutable):
         If the axes are not three independent directions or the voxels have no sensible size.
     """
 
-    labels: NDArray[np.uint16]
-    X_LV: NDArray[np.float64]
+    labels: Annotated[NDArray[np.uint16], Shape(None, None, None, dtype=np.uint16)]
+    X_LV: Annotated[NDArray[np.float64], Shape(4, 4)]
 
     def __post_init__(self) -> None:
-        labels = read_only(self.labels, "labels", (None, None, None), np.uint16)
-        object.__setattr__(self, "labels", labels)
-        object.__setattr__(self, "X_LV", read_only(self.X_LV, "X_LV", (4, 4)))
+        super().__post_init__()
         axes = self.X_LV[:3, :3]
         steps = np.linalg.norm(axes, axis=0)
         require(
@@ -58,7 +56,8 @@ class LabelMap(Immutable):
         )
         volume = abs(np.linalg.det(axes / steps))
         require(volume > 0.1, "axes", axes.round(6).tolist(), "three independent directions")
-        require(min(labels.shape) >= 2, "labels", labels.shape, "at least 2 voxels along each axis")
+        shape = self.labels.shape
+        require(min(shape) >= 2, "labels", shape, "at least 2 voxels along each axis")
 
 
 def is_label_map(path: str | Path) -> bool:

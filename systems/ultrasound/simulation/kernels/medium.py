@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 
 from sonoservo.systems.sampling.kernels import INNER, OPTIONS
 from sonoservo.systems.ultrasound.simulation.kernels.displacement import Displacements
+from sonoservo.systems.ultrasound.simulation.kernels.needle_push import spaced
+from sonoservo.systems.ultrasound.simulation.kernels.projection import transformed
 
 _STEPS = 3
 _PROBE = 1e-3
@@ -233,13 +235,19 @@ def look_up(x, y, z, view, frame, node):  # type: ignore[no-untyped-def]
 
 
 @njit(**OPTIONS)
-def apparent_points(points, view, frame):  # type: ignore[no-untyped-def]
-    """Return the (n, 3) apparent positions of (n, 3) points in a frame, both in F, in m."""
-    seen = np.empty_like(points)
+def apparent_shaft(shaft, X_FT, view, frame, spacing):  # type: ignore[no-untyped-def]
+    """Return apparent positions in T of points along an (m, 3) shaft in T; see `spaced`."""
+    points = spaced(shaft, spacing)
     node = np.empty(15)
     for i in range(len(points)):
-        seen[i] = look_up(points[i, 0], points[i, 1], points[i, 2], view, frame, node)
-    return seen
+        x, y, z = transformed(X_FT, points[i, 0], points[i, 1], points[i, 2])
+        x, y, z = look_up(x, y, z, view, frame, node)
+        x -= X_FT[0, 3]
+        y -= X_FT[1, 3]
+        z -= X_FT[2, 3]
+        for axis in range(3):
+            points[i, axis] = X_FT[0, axis] * x + X_FT[1, axis] * y + X_FT[2, axis] * z
+    return points
 
 
 @njit(**OPTIONS)

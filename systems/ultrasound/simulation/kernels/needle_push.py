@@ -1,9 +1,33 @@
-"""Displacement of the tissue by a needle: drag along its shaft, and its volume."""
+"""Displacement of the tissue by a needle, drag along its shaft and its volume; points on shafts."""
 
 import numpy as np
 from numba import njit
 
 from sonoservo.systems.sampling.kernels import INNER, OPTIONS
+
+
+@njit(**OPTIONS)
+def spaced(shaft, spacing):  # type: ignore[no-untyped-def]
+    """Return evenly spaced points along an (m, 3) shaft, m or more, ``spacing`` m apart at most."""
+    ends = np.zeros(len(shaft))
+    for k in range(1, len(shaft)):
+        dx = shaft[k, 0] - shaft[k - 1, 0]
+        dy = shaft[k, 1] - shaft[k - 1, 1]
+        dz = shaft[k, 2] - shaft[k - 1, 2]
+        ends[k] = ends[k - 1] + np.sqrt(dx * dx + dy * dy + dz * dz)
+    length = ends[-1]
+    count = max(np.int64(np.ceil(length / spacing)) + 1, len(shaft), 2)
+    points = np.empty((count, 3))
+    points[-1] = shaft[-1]
+    k = 0
+    for i in range(count - 1):
+        along = i * (length / (count - 1))
+        while k < len(shaft) - 2 and ends[k + 1] <= along:
+            k += 1
+        for axis in range(3):
+            slope = (shaft[k + 1, axis] - shaft[k, axis]) / (ends[k + 1] - ends[k])
+            points[i, axis] = slope * (along - ends[k]) + shaft[k, axis]
+    return points
 
 
 @njit(**INNER)

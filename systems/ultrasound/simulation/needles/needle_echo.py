@@ -8,7 +8,7 @@ piece by piece (Kirchhoff's integral). What else returns, from a rough surface, 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,12 @@ from sonoservo.systems.signals.requirements import (
     within,
 )
 from sonoservo.systems.ultrasound.beam import Beam
-from sonoservo.systems.ultrasound.simulation.needles.needle_kernel import NeedleEcho, NeedleView
+from sonoservo.systems.ultrasound.simulation.needles.needle_kernel import (
+    NeedleEcho,
+    NeedleView,
+    incidence,
+    together,
+)
 from sonoservo.systems.ultrasound.simulation.needles.needle_tip import (
     FACES,
     tip_axes,
@@ -184,9 +189,10 @@ class NeedleFading:
         self._phase = rng.uniform(0, 2 * np.pi, _WAVES)
         self._level = parameters.fading_db * np.sqrt(2 / _WAVES)
 
-    def level_db(self, from_tip: NDArray[np.float64], time: float) -> NDArray[np.float64]:
-        """Return the (n,) levels in dB at distances in m from the tip, at a time in s."""
-        turns = np.multiply.outer(from_tip, self._along) + self._in_time * time + self._phase
+    def level_db(self, from_tip: NDArray[np.float64], times: NDArray[np.float64]) -> Any:
+        """Return (k, n) levels in dB at (k,) times in s and (n,) distances in m from the tip."""
+        turns = np.multiply.outer(from_tip, self._along) + self._phase
+        turns = turns + np.multiply.outer(times, self._in_time)[:, np.newaxis]
         return self._level * np.cos(turns).sum(axis=-1)
 
 
@@ -204,46 +210,28 @@ def needle_view(
     Needles are in T at each frame's time, empty ones ignored; ``centre_offset`` is the distance in
     m from F's origin back to the array's centre of curvature.
     """
-    longest = max(needle.length for needle in needles if needle)
-    nodes = int(np.ceil(longest / _NODE)) + 2
-    frames = len(needles)
-    from_tip: NDArray[np.float64] = _NODE * np.arange(nodes, dtype=np.float64)
-    ends = _NODE * np.arange(nodes + 1.0)[:, np.newaxis]
-    places, fade = np.zeros((frames, nodes + 1, 3)), np.ones((frames, nodes))
-    axes_T = np.zeros((frames, 3, 3))
-    for frame, (needle, time) in enumerate(zip(needles, times, strict=True)):
-        if needle:
-            roll = needle.roll + np.deg2rad(parameters.tip_roll_deg)
-            axes_T[frame] = tip_axes(needle.shaft[-1] - needle.shaft[-2], roll)
-            # The part outside continues the shaft straight on.
-            first = needle.shaft[:1] - needle.shaft[1:2]
-            length = needle.length
-            places[frame] = needle.shaft[0]
-            places[frame] += (ends - length) * (first / np.sqrt((first**2).sum()))
-            if len(needle.shaft) > 2:
-                inside = ends[:, 0] < length
-                places[frame, inside] = needle.position(length - ends[inside, 0])
-            if parameters.fading_db > 0:
-                fade[frame] = 10 ** (fading.level_db(from_tip, float(time)) / 20)
-    R = np.swapaxes(X_FT[:, :, :3], 1, 2)
-    points = places @ R + X_FT[:, np.newaxis, :, 3]
-    along = (points[:, :-1] - points[:, 1:]) / _NODE
-    towards = -points[:, :-1] - (0.0, centre_offset, 0.0)
-    towards[..., 2] = 0
-    towards /= np.linalg.norm(towards, axis=-1, keepdims=True)
-    sine = np.abs((along * towards).sum(axis=-1)).clip(0, 1)
+    shafts, starts = together([needle.shaft for needle in needles])
+    nodes = int(np.ceil(max(needle.length for needle in needles) / _NODE)) + 2
+    sine, towards = incidence(shafts, starts, X_FT, centre_offset, _NODE, nodes)
     cosine = np.sqrt(1 - sine**2)
     lobe = np.ones_like(sine)
     if parameters.diffuse_lobe_deg is not None:
         lobe = 0.5 ** ((np.rad2deg(np.arcsin(sine)) / parameters.diffuse_lobe_deg) ** 2)
+    fade = np.ones_like(sine)
+    if parameters.fading_db > 0:
+        fade = 10 ** (fading.level_db(_NODE * np.arange(nodes, dtype=float), times) / 20)
+    axes_T, turned = np.zeros((len(needles), 3, 3)), np.deg2rad(parameters.tip_roll_deg)
+    for axes, needle in zip(axes_T, needles, strict=True):
+        if needle:
+            axes[:] = tip_axes(needle.shaft[-1] - needle.shaft[-2], needle.roll + turned)
     dimples = parameters.dimples_db
     spacing = beam.wavelength / 8
     return NeedleView(
         specular=fade * np.sqrt(cosine),
         diffuse=fade * lobe,
         cosine=cosine,
-        axes=axes_T @ R,
-        towards=fade[:, :1] * towards[:, 0],
+        axes=axes_T @ np.swapaxes(X_FT[:, :, :3], 1, 2),
+        towards=fade[:, :1] * towards,
         points_per_node=_NODE / spacing,
         dimple=0.0 if dimples is None else float(10 ** (dimples / 20)),
         dimple_step=max(round(parameters.dimple_spacing / spacing), 1),

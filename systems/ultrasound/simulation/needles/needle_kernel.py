@@ -1,5 +1,6 @@
 """Echoes of needles, point by point and piece by piece, with their shadows."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -11,6 +12,8 @@ from sonoservo.systems.ultrasound.simulation.kernels.bright_echo import add_poin
 from sonoservo.systems.ultrasound.simulation.kernels.layers import add_layer, empty_layer
 from sonoservo.systems.ultrasound.simulation.kernels.projection import transformed
 from sonoservo.systems.ultrasound.simulation.needles.needle_tip import NeedleTip
+
+Floats = NDArray[np.float64]
 
 
 class NeedleEcho(NamedTuple):
@@ -24,7 +27,7 @@ class NeedleEcho(NamedTuple):
     """Amplitude of each point, with phases fixed by the needle's surface."""
     tip: int
     """Number of points from the tip whose part in phase is that of the tip's pieces."""
-    taper: NDArray[np.float64]
+    taper: Floats
     """(tip,) factors on the diffuse amplitude of these points, from less and less surface."""
     piece: complex
     """Amplitude of the tip's surface per area, where it faces the probe."""
@@ -43,15 +46,15 @@ class NeedleEcho(NamedTuple):
 class NeedleView(NamedTuple):
     """What a needle's echo depends on in every frame; factors are given at nodes from the tip."""
 
-    specular: NDArray[np.float64]
+    specular: Floats
     """(frames, nodes) factors on the specular amplitude."""
-    diffuse: NDArray[np.float64]
+    diffuse: Floats
     """(frames, nodes) factors on the diffuse amplitude."""
-    cosine: NDArray[np.float64]
+    cosine: Floats
     """(frames, nodes) cosines of the angle between the beam and the needle's normal."""
-    axes: NDArray[np.float64]
+    axes: Floats
     """(frames, 3, 3) axes of the needle's frame at the tip in F, as rows."""
-    towards: NDArray[np.float64]
+    towards: Floats
     """(frames, 3) directions from the tip to the probe in F, times the factor of its fading."""
     points_per_node: float
     dimple: float
@@ -60,6 +63,63 @@ class NeedleView(NamedTuple):
     """Number of points from one dimple to the next."""
     dimpled: int
     """Number of points behind the tip in the dimpled part."""
+
+
+def together(
+    shafts: Sequence[Floats],
+) -> tuple[Floats, NDArray[np.int64]]:
+    """Return the points of all frames' shafts, and (frames + 1,) indices of each frame's first."""
+    return np.concatenate(shafts), np.cumsum([0, *(len(shaft) for shaft in shafts)])
+
+
+@njit(**OPTIONS)
+def incidence(shafts, starts, X_FT, centre_offset, node, count):  # type: ignore[no-untyped-def]
+    """Return where needles' nodes, ``node`` m apart from the tip on, see the probe from.
+
+    Returned are (frames, count) sines of the angle between the beam and the needle's normal, and
+    (frames, 3) unit directions in F from the tip to the probe. Shafts are as in `render_needles`;
+    what is outside continues them straight on. See `needle_view` for the offset.
+    """
+    sines, towards = np.zeros((len(X_FT), count)), np.zeros((len(X_FT), 3))
+    for frame in range(len(X_FT)):
+        shaft = shafts[starts[frame] : starts[frame + 1]]
+        k = len(shaft) - 1
+        if k < 1:
+            continue
+        passed = 0.0
+        length = _step(shaft, k)
+        x, y, _ = transformed(X_FT[frame], shaft[k, 0], shaft[k, 1], shaft[k, 2])
+        for i in range(count):
+            along = (i + 1) * node - passed
+            while k > 1 and along > length:
+                along -= length
+                passed += length
+                k -= 1
+                length = _step(shaft, k)
+            share = along / length
+            xn, yn, _ = transformed(
+                X_FT[frame],
+                shaft[k, 0] + share * (shaft[k - 1, 0] - shaft[k, 0]),
+                shaft[k, 1] + share * (shaft[k - 1, 1] - shaft[k, 1]),
+                shaft[k, 2] + share * (shaft[k - 1, 2] - shaft[k, 2]),
+            )
+            away = y + centre_offset
+            r = np.sqrt(x * x + away * away)
+            if i == 0:
+                towards[frame, 0] = -x / r
+                towards[frame, 1] = -away / r
+            sines[frame, i] = min(abs((x - xn) * x + (y - yn) * away) / (r * node), 1.0)
+            x, y = xn, yn
+    return sines, towards
+
+
+@njit(**INNER)
+def _step(shaft, k):  # type: ignore[no-untyped-def]
+    """Return the distance of point k of a shaft from the one before."""
+    dx = shaft[k, 0] - shaft[k - 1, 0]
+    dy = shaft[k, 1] - shaft[k - 1, 1]
+    dz = shaft[k, 2] - shaft[k - 1, 2]
+    return np.sqrt(dx * dx + dy * dy + dz * dz)
 
 
 @njit(**OPTIONS)

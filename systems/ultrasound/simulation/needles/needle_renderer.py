@@ -12,8 +12,7 @@ from sonoservo.systems.signals.sweep import SweepGeometry
 from sonoservo.systems.ultrasound.beam import Beam
 from sonoservo.systems.ultrasound.simulation.kernels.medium import (
     Sights,
-    View,
-    apparent_points,
+    apparent_shaft,
 )
 from sonoservo.systems.ultrasound.simulation.kernels.projection import Rays
 from sonoservo.systems.ultrasound.simulation.needles.needle_echo import (
@@ -24,7 +23,11 @@ from sonoservo.systems.ultrasound.simulation.needles.needle_echo import (
     reverberations,
     rough_phases,
 )
-from sonoservo.systems.ultrasound.simulation.needles.needle_kernel import NeedleEcho, render_needles
+from sonoservo.systems.ultrasound.simulation.needles.needle_kernel import (
+    NeedleEcho,
+    render_needles,
+    together,
+)
 from sonoservo.systems.ultrasound.simulation.pulses import PulseTables
 from sonoservo.systems.ultrasound.simulation.reaction.deformation import moved_needle
 
@@ -84,12 +87,11 @@ class NeedleRenderer:
         shafts = [needle.shaft for needle in needles]
         if len(bent.table):
             shafts = [
-                _apparent(needle, X, bent, frame)
-                for frame, (needle, X) in enumerate(zip(needles, X_FT, strict=True))
+                apparent_shaft(shaft, X_FT[frame], bent, frame, _BENT_STEP) if len(shaft) else shaft
+                for frame, shaft in enumerate(shafts)
             ]
-        starts = np.concatenate([[0], np.cumsum([len(shaft) for shaft in shafts])])
-        echo, shaft = self._echo(needles[0].radius), np.concatenate(shafts)
-        render_needles(iq, X_FT, views.rays, shaft, starts, echo, view, views.transmission)
+        echo = self._echo(needles[0].radius)
+        render_needles(iq, X_FT, views.rays, *together(shafts), echo, view, views.transmission)
 
     def add_resting(self, iq: NDArray[np.complex64], needle: Needle, views: FrameViews) -> None:
         """Add a needle at rest in T, which moves with the tissue if a field deforms it."""
@@ -106,16 +108,3 @@ class NeedleRenderer:
         return needle_echo(
             self._parameters, self._beam, self._reference, self._phases, pulse, radius
         )
-
-
-def _apparent(
-    needle: Needle, X_FT: NDArray[np.float64], view: View, frame: int
-) -> NDArray[np.float64]:
-    """Return the (m, 3) apparent positions in T, in m, of points along a needle in a frame."""
-    if not needle:
-        return needle.shaft
-    length = needle.length
-    points = needle.position(np.linspace(0, length, max(int(np.ceil(length / _BENT_STEP)), 1) + 1))
-    R, p = X_FT[:, :3], X_FT[:, 3]
-    seen = apparent_points(points @ R.T + p, view, frame)
-    return (seen - p) @ R

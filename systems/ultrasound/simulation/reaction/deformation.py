@@ -2,23 +2,24 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform
 
-from sonoservo.systems.signals.immutable import Immutable, read_only
+from sonoservo.systems.signals.immutable import Immutable, Shape
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.requirements import (
     NotNegative,
     Positive,
-    check_bounds,
 )
 from sonoservo.systems.ultrasound.simulation.kernels.displacement import (
     NO_DISPLACEMENTS,
     Displacements,
     displace_points,
 )
+from sonoservo.systems.ultrasound.simulation.kernels.needle_push import spaced
 
 _MOST_POINTS = 7
 _SPACING = 4e-3
@@ -47,9 +48,6 @@ class Indentation(Immutable):
     y: float = 0.0
     depth: NotNegative = 0.0
     dome_radius: Positive = 1.0
-
-    def __post_init__(self) -> None:
-        check_bounds(self)
 
     @property
     def radius(self) -> float:
@@ -94,14 +92,10 @@ class Deformation(Immutable):
     """
 
     indentation: Indentation = Indentation()
-    shaft: NDArray[np.float64] = field(default_factory=lambda: _NO_SHAFT)
+    shaft: Annotated[NDArray[np.float64], Shape(None, 3)] = field(default_factory=lambda: _NO_SHAFT)
     drag: float = 0.0
     drag_reach: Positive = 8e-3
     hole_radius: NotNegative = 0.0
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "shaft", read_only(self.shaft, "shaft", (None, 3)))
-        check_bounds(self)
 
     def moved(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the (n, 3) displaced positions of (n, 3) points of the tissue, in T, in m."""
@@ -121,10 +115,7 @@ def moved_needle(
     needle: Needle, field: Displacements, frame: int, *, pushed: bool = True
 ) -> Needle:
     """Return a needle in T displaced by the field of a frame, by its needle only if ``pushed``."""
-    length = needle.length
-    count = max(int(np.ceil(length / _SPACING)) + 1, len(needle.shaft), 2)
-    points = needle.position(np.linspace(0, length, count))
-    shaft = displace_points(points, field, frame, pushed)
+    shaft = displace_points(spaced(needle.shaft, _SPACING), field, frame, pushed)
     return Needle(shaft, needle.radius, roll=needle.roll, track=needle.track)
 
 
@@ -163,6 +154,8 @@ def displacements(deformations: Sequence[Deformation] | None) -> Displacements:
 
 def _thinned(shaft: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return a few of a shaft's points, with both ends; only these if it is straight."""
+    if len(shaft) == 2:
+        return shaft
     along = shaft[-1] - shaft[0]
     length = max(float(np.linalg.norm(along)), 1e-9)
     if np.linalg.norm(np.cross(shaft - shaft[0], along), axis=1).max() < _STRAIGHT * length:

@@ -2,11 +2,12 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.systems.signals.immutable import Immutable, read_only
+from sonoservo.systems.signals.immutable import Immutable, Shape
 from sonoservo.systems.signals.requirements import require
 
 MAX_PIECES = 2_000_000
@@ -25,15 +26,9 @@ class Surface(Immutable):
         (n,) areas of the pieces, in m^2.
     """
 
-    points: NDArray[np.float64]
-    normals: NDArray[np.float64]
-    areas: NDArray[np.float64]
-
-    def __post_init__(self) -> None:
-        count = len(self.points)
-        object.__setattr__(self, "points", read_only(self.points, "points", (count, 3)))
-        object.__setattr__(self, "normals", read_only(self.normals, "normals", (count, 3)))
-        object.__setattr__(self, "areas", read_only(self.areas, "areas", (count,)))
+    points: Annotated[NDArray[np.float64], Shape("n", 3)]
+    normals: Annotated[NDArray[np.float64], Shape("n", 3)]
+    areas: Annotated[NDArray[np.float64], Shape("n")]
 
 
 @dataclass(frozen=True)

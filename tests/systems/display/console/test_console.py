@@ -8,7 +8,6 @@ import subprocess
 import sys
 import threading
 import time
-import tracemalloc
 from contextlib import closing
 from urllib.parse import urlsplit
 from urllib.request import urlopen
@@ -17,19 +16,9 @@ import numpy as np
 import pytest
 from page_clients.console_socket import open_console, pull_console
 
-from sonoservo.systems.display.colours import (
-    FORCE,
-    MODE_COLOURS,
-    SECTOR,
-    STEEL,
-    STOPPED,
-    UNCERTAINTY,
-    hexadecimal,
-)
 from sonoservo.systems.display.console import console as console_module
 from sonoservo.systems.display.console.console import Console
 from sonoservo.systems.display.console.controls import controller_controls
-from sonoservo.systems.display.console.document import page_template
 from sonoservo.systems.display.console.readings import Sample
 
 
@@ -132,15 +121,13 @@ def test_the_page_asks_for_nothing_of_another_machine(console):
     assert f'src="{console.web_url}"' in console._repr_html_()
 
 
-def test_the_page_has_the_colours_of_the_world():
-    text = page_template()
-    for colour in (*MODE_COLOURS.values(), STEEL, SECTOR, UNCERTAINTY, FORCE, STOPPED):
-        assert hexadecimal(colour) in text
-
-
-def test_nothing_is_drawn_for_nobody(console, make_volume, monkeypatch):
+def test_nothing_is_drawn_for_nobody_and_no_garbage_is_collected_meanwhile(
+    console, make_volume, monkeypatch
+):
     drawn = []
-    monkeypatch.setattr(console_module, "slice_pictures", lambda *_: drawn.append(1) or [])
+    monkeypatch.setattr(
+        console_module, "slice_pictures", lambda *_: drawn.append(gc.isenabled()) or []
+    )
     for k in range(5):
         console.show(make_volume(zeros, time=k))
     on_the_site(console)
@@ -148,6 +135,8 @@ def test_nothing_is_drawn_for_nobody(console, make_volume, monkeypatch):
     with open_console(console.web_url):
         console.show(make_volume(zeros, time=6))
         wait_for(lambda: drawn)
+    assert drawn[-1] is False
+    wait_for(gc.isenabled)
 
 
 def test_a_page_is_sent_the_newest_once_it_has_drawn_the_last(console, make_volume):
@@ -258,47 +247,15 @@ def test_a_page_goes_back_and_beside_alone(console, make_volume):
         assert page.pictures[1] is not None
 
 
-def test_a_page_that_reads_nothing_costs_no_memory(console, make_volume):
-    with open_console(console.web_url):
-        console.show(make_volume(ramp, time=0.5))
-        on_the_site(console)
-        tracemalloc.start()
-        for k in range(100):
-            console.show(make_volume(ramp, time=1 + 0.01 * k))
-            console.add(Sample(time=1 + 0.01 * k))
-            on_the_site(console)
-        kept, _ = tracemalloc.get_traced_memory()
-        tracemalloc.stop()
-    assert kept < 20e6
-
-
-def test_no_garbage_is_collected_while_a_page_is_drawn(console, make_volume, monkeypatch):
-    collects = []
-    monkeypatch.setattr(
-        console_module, "slice_pictures", lambda *_: collects.append(gc.isenabled()) or []
-    )
-    console.show(make_volume(ramp))
-    with open_console(console.web_url):
-        wait_for(lambda: collects)
-    assert collects[-1] is False
-    wait_for(gc.isenabled)
-
-
-def test_showing_goes_on_after_the_end(make_volume):
-    console = Console()
-    console.close()
-    console.close()
-    console.show(make_volume(zeros))
-    console.say(note="over")
-    console.controls.press("stop")
-
-
-def test_nothing_is_left_behind_by_a_process_that_ends():
+def test_nothing_is_left_behind_by_a_process_that_ends(make_volume):
     count = threading.active_count()
     console = Console()
     assert threading.active_count() == count + 1
     console.close()
+    console.close()
     assert threading.active_count() == count
+    console.show(make_volume(zeros))  # it goes on unseen
+    console.say(note="over")
     program = (
         "from sonoservo.systems.display.console.console import Console; print(Console().web_url)"
     )

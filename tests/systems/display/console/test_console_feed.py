@@ -53,23 +53,8 @@ def test_each_volume_is_shown_once_and_counted(make_volume):
     for volume in (first, first, second):
         publish(leaf, volume=volume, estimate=SEARCHING)
     assert shown == [(first, SEARCHING, 1, None), (second, SEARCHING, 2, None)]
-
-
-def test_no_tracker_is_needed(make_volume):
-    shown = Shown()
-    volume = make_volume(zeros)
-    publish(ConsoleFeed(console=shown, period=0.3), volume=volume)
-    assert shown == [(volume, None, 1, None)]
-
-
-def test_a_wrong_value_is_refused(make_volume):
-    leaf = ConsoleFeed(console=Shown(), period=0.3)
-    with pytest.raises(
-        TypeError, match="port 'volume' .* received a value of type str; expected Volume"
-    ):
-        publish(leaf, volume="volume")
-    with pytest.raises(ValueError, match="period: 0 is not allowed"):
-        ConsoleFeed(console=Shown(), period=0)
+    publish(leaf, volume=make_volume(zeros, time=1.1))  # no tracker is needed
+    assert shown[2][1:] == (None, 3, None)
 
 
 def test_a_sample_holds_what_instruments_truth_and_guard_say(make_volume):

@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 from pydrake.math import RigidTransform
 
-from sonoservo.systems.display.console.history import Cine, Frame, Strips
 from sonoservo.systems.display.console.readings import (
+    Cine,
+    Frame,
     Sample,
+    Strips,
     describe_state,
     sample_estimate,
     tip_error,

@@ -104,14 +104,10 @@ def test_slices_beside_the_needle_show_what_is_there(make_volume):
     assert [bool(each.rails) for each in (*through, *near, *far)] == [True] * 4 + [False] * 2
     assert near[0].grey.max() < through[0].grey.max()
     assert max(each.grey.max() for each in far) < 5
+    assert len(pictures(volume, ENTRY + 1.0, TIP + 1.0)) < 2
     beside_it, through_it = slice_pictures(volume, None, (1.0, 0.0))
     assert beside_it is None
     assert through_it is not None
-
-
-def test_a_needle_outside_the_volume_leaves_out_its_slice(make_volume):
-    volume = make_volume(ball_at_the_tip)
-    assert len(pictures(volume, ENTRY + 1.0, TIP + 1.0)) < 2
 
 
 def test_a_line_that_is_followed_is_drawn_as_far_as_it_is_near_a_slice(make_volume):

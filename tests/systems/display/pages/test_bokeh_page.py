@@ -19,19 +19,6 @@ def site():
         yield site
 
 
-def test_the_address_opens_the_page_and_leaves_a_cookie(site):
-    status, headers, text = get(site.address("page"))
-    assert status == 200
-    cookie = headers["Set-Cookie"].partition(";")[0]
-    status, headers, _ = get(site.address("page").partition("?")[0], Cookie=cookie)
-    assert status == 200
-    assert headers["Content-Security-Policy"] == "frame-ancestors 'self'"
-    assert headers["Cache-Control"] == "no-store"
-    scripts = [each for each in text.split('"') if each.endswith(".js") or ".js?v=" in each]
-    assert scripts
-    assert all(each.startswith("/page/static/js/bokeh.min.js") for each in scripts)
-
-
 def test_the_token_is_not_written_into_the_page(site):
     cookie = f"{site.cookie}={site.access.token}"
     _, _, text = get(site.address("page").partition("?")[0], Cookie=cookie)
@@ -46,21 +33,11 @@ def test_nothing_but_the_library_is_served_without_the_token(site, path):
     assert get(f"{bare}{path}?token=guessed")[0] == (404 if path == "no-such-file" else 403)
 
 
-HOSTILE = {
-    "another name, as after DNS rebinding": {"Host": "evil.example:7000"},
-    "no name": {"Host": None},
-    "another site's page": {"Origin": "http://evil.example"},
-    "a page in a box": {"Origin": "null"},
-    "a page of another server on this machine": {"Origin": "http://localhost:9999"},
-    "no page at all": {"Origin": None},
-}
-
-
 def test_hostile_pages_do_not_reach_the_socket_even_with_all_tokens(site):
     url = site.address("page")
     session = {"Sec-WebSocket-Protocol": f"bokeh, {session_token(url)}"}
     assert "101" in ask(url, "ws", **session)[0]
-    for headers in HOSTILE.values():
+    for headers in ({"Host": "evil.example:7000"}, {"Origin": "null"}, {"Origin": None}):
         refused = ask(url, "ws", **(session | headers))
         assert "403" in refused[0] or "400" in refused[0]
         assert site.access.token not in "".join(refused)

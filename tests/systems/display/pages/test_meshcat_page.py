@@ -81,14 +81,6 @@ def test_drakes_own_server_is_hidden(meshcat):
             socket.create_connection((host, meshcat.port()), timeout=5)
 
 
-def test_where_there_is_one_loop_address_only_the_port_is_hidden(monkeypatch):
-    monkeypatch.setattr(meshcat_page, "_random_loop_address", lambda: "192.0.2.7")
-    with Site() as site:
-        meshcat = open_meshcat(site)
-        socket.create_connection(("127.0.0.1", meshcat.port()), timeout=5).close()
-        assert b"Drake" in urlopen(meshcat.web_url()).read()
-
-
 def test_a_page_is_told_everything(meshcat, page):
     meshcat.SetTransform("box", RigidTransform([1, 2, 3]))
     with connection(meshcat) as other:
@@ -168,12 +160,3 @@ def test_a_page_that_reads_nothing_is_disconnected(meshcat):
         page.shutdown(socket.SHUT_RDWR)
         reader.join()
     wait_for(lambda: meshcat.GetNumActiveConnections() == 0)
-
-
-def test_a_page_outlives_its_meshcat_and_says_so():
-    with Site() as site:
-        open_meshcat(site, page="lost")
-        url = site.address("lost")
-        site._kept.clear()
-        with closing(open_socket(url)) as page:
-            assert read_until_closed(page) == []

@@ -45,11 +45,7 @@ def test_the_root_lists_the_pages(site):
     status, _, text = get(site.address())
     assert status == 200
     assert '<a href="page/">A &lt;page&gt;</a>' in text
-
-
-def test_a_name_stands_for_one_page(site):
-    with pytest.raises(ValueError, match="page: 'page' is not allowed"):
-        site.add("page", "Another page", [])
+    assert get(site.address("no-page"))[0] == 404
 
 
 def test_without_the_token_a_page_says_where_its_address_stands(site):
@@ -60,10 +56,6 @@ def test_without_the_token_a_page_says_where_its_address_stands(site):
         assert "in its terminal" in text
         assert "It lacks the token of this run." in text
         assert site.access.token not in text + str(headers)
-
-
-def test_what_no_page_has_is_not_found_by_those_who_may_ask(site):
-    assert get(site.address("no-page"))[0] == 404
 
 
 HOSTILE = {
@@ -80,19 +72,14 @@ HOSTILE = {
 def test_hostile_pages_are_refused_even_with_the_token(site, headers):
     url = site.address("page")
     cookie = f"sonoservo_{site.port}={site.access.token}"
+    bare = url.partition("?")[0]
     assert ask(url, "socket")[0].endswith("101 Switching Protocols")
+    assert "101" in ask(bare, "socket", Cookie=cookie)[0]
+    assert "403" in ask(bare, "socket")[0]
     for more in ({}, {"Cookie": cookie}):
         refused = ask(url, "socket", **headers, **more)
         assert "403" in refused[0] or "400" in refused[0]
         assert site.access.token not in "".join(refused)
-
-
-def test_a_socket_needs_the_token(site):
-    bare = site.address("page").partition("?")[0]
-    cookie = f"sonoservo_{site.port}={site.access.token}"
-    assert "403" in ask(bare, "socket")[0]
-    assert "403" in ask(f"{bare}?token=guessed", "socket")[0]
-    assert "101" in ask(bare, "socket", Cookie=cookie)[0]
 
 
 def test_requests_that_are_no_requests_stop_nothing(site):
@@ -118,23 +105,19 @@ def test_pages_are_let_go_when_the_site_closes():
         socket.create_connection(("localhost", site.port), timeout=5)
 
 
-def test_a_busy_port_is_stepped_over():
-    with Site() as first, Site(port=first.port) as second:
-        assert second.port > first.port
-
-
-def test_what_is_wrong_with_a_host_or_a_port_is_said():
+def test_a_busy_port_is_stepped_over_and_what_is_wrong_with_a_host_or_a_port_is_said(site):
+    with Site(port=site.port) as second:
+        assert second.port > site.port
+    with pytest.raises(ValueError, match="page: 'page' is not allowed"):
+        site.add("page", "Another page", [])
+    with socket.socket() as busy:
+        busy.bind(("127.0.0.1", 65535))
+        busy.listen()
+        with pytest.raises(OSError, match="port: none of 65535 to 65535 is free on 'localhost'"):
+            Site(port=65535)
     with pytest.raises(ValueError, match="host: '' is not allowed"):
         Site(host="")
     with pytest.raises(ValueError, match="port: 0 is not allowed; it must be 1 to 65535"):
         Site(port=0)
     with pytest.raises(OSError, match=r"host: '192\.0\.2\.7' is no name or address of this machi"):
         Site(host="192.0.2.7")
-
-
-def test_no_free_port_is_said():
-    with socket.socket() as busy:
-        busy.bind(("127.0.0.1", 65535))
-        busy.listen()
-        with pytest.raises(OSError, match="port: none of 65535 to 65535 is free on 'localhost'"):
-            Site(port=65535)

@@ -6,7 +6,6 @@ from sonoservo.systems.evaluation.log import read_log, write_log
 from sonoservo.systems.evaluation.shape.shape_metrics import (
     ShapeLog,
     cross_section_errors,
-    plane_of,
     prediction,
     shape_coverage,
     shape_errors,
@@ -50,10 +49,6 @@ def spread(deviation, n=4000, angle=0.0):
     )  # fmt: skip
 
 
-def test_plane_of_a_path_is_the_one_it_bends_in():
-    assert abs(plane_of(straight(0.1, 0.7)) @ [np.cos(0.7), np.sin(0.7)]) == pytest.approx(1)
-
-
 def test_errors_of_a_turned_line_are_those_of_a_triangle():
     # Equation 8: the area of the triangle between the lines, 0.1 m high and 1 mm wide.
     true = straight(np.arctan(0.02), 0.4)
@@ -62,14 +57,9 @@ def test_errors_of_a_turned_line_are_those_of_a_triangle():
     assert errors.tip == pytest.approx(1e-3)
     assert errors.shape == pytest.approx(0.5 * 0.1 * 1e-3)
     assert errors.largest == pytest.approx(1e-3)
-
-
-def test_error_across_the_plane_counts_in_the_max_distance_only():
-    true = straight(0.1)
-    predicted = true[:, :2] + [0, 2e-3]
-    errors = shape_errors(true, predicted)
-    assert errors.tip < 1e-9
-    assert errors.largest == pytest.approx(2e-3)
+    aside = shape_errors(straight(0.1), straight(0.1)[:, :2] + [0, 2e-3])
+    assert aside.tip < 1e-9
+    assert aside.largest == pytest.approx(2e-3)
 
 
 @pytest.mark.parametrize(("sigmas", "covered"), [(0.5, 1.0), (1.5, 1.0), (3.0, 0.0)])

@@ -21,11 +21,11 @@ from sonoservo.systems.evaluation.explanation.explained_volume import (
     clear_explanations,
     deciding_attempt,
     explain_volume,
+    find_occasion,
     imaged_needle,
     read_explanations,
     write_explanation,
 )
-from sonoservo.systems.evaluation.explanation.explanation_recorder import find_occasion
 from sonoservo.systems.evaluation.log import columns
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.localization_explanation import LocalizationExplanation
@@ -81,14 +81,6 @@ def test_nothing_is_kept_of_what_was_not_looked_at():
     assert np.isnan([kept.innovation, kept.gate, kept.tip, kept.contrast]).all()
     assert kept.beam_slice.size
     np.testing.assert_allclose(kept.to_probe(np.eye(3)), np.eye(3))
-
-
-def test_a_failure_is_explained_as_far_as_it_went():
-    kept = explained(found=False)
-    assert (kept.mode_after, kept.sliced) == ("coasting", "predicted")
-    assert len(kept.candidates) > 20
-    assert len(kept.measured) == 0
-    assert kept.attempt_reasons[0]
 
 
 def test_the_search_that_decided_is_the_one_that_found_the_needle_or_came_furthest():

@@ -13,7 +13,7 @@ from rerun.chunk import RrdReader
 from synthetic_logs import build_insertion_log
 
 from sonoservo.systems.evaluation.run_errors import features
-from sonoservo.systems.evaluation.viewer_logs.run_stream import (
+from sonoservo.systems.evaluation.viewer_logs import (
     Surroundings,
     open_viewer_log,
     write_run,
