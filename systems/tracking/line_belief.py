@@ -325,7 +325,11 @@ def follow(belief: LineBelief, volume: Volume, *, look: bool = False) -> LineBel
     if len(lines):
         seconds = (memory[-1].volume.time - memory[0].volume.time) / max(len(memory) - 1, 1)
         logs = class_logs(
-            lines.logs, lines.image_logs[:, 0], np.array(appearing), advances(seconds)
+            lines.logs,
+            lines.image_logs[:, 0],
+            np.array(appearing),
+            advances(seconds),
+            _passing(lines, memory, len(appearing)),
         )
         # Needle either way, resting, riding, appeared, nothing.
         joint = np.column_stack([logs, np.zeros(len(lines))])
@@ -349,6 +353,14 @@ def _motion(memory: Sequence[Remembered]) -> float:
     x, y, z = X.translation()
     turn = float(X.rotation().ToAngleAxis().angle())
     return max(float(np.hypot(x, z)) / _PLACE, abs(y) / _DEPTH, turn / _TURN)
+
+
+def _passing(lines: Lines, memory: Sequence[Remembered], times: int) -> Floats:
+    """Return (n, t) bins by which a place in the image moved along lines before each arrival."""
+    p_P = memory[-1].in_image(lines.points)
+    places = np.array([each.in_tissue(p_P) for each in memory[-times:]])
+    steps = np.einsum("tni,ni->nt", np.diff(places, axis=0), lines.directions) / BIN
+    return np.pad(steps, ((0, 0), (times - steps.shape[1], 0)))
 
 
 def _remember(volume: Volume, memory: Sequence[Remembered]) -> Remembered:
