@@ -34,8 +34,8 @@ from sonoservo.systems.tracking.needle_line import log_odds
 
 Floats = NDArray[np.float64]
 
-_REMEMBERED, _ARRIVALS = 14, 20
-"""Numbers of volumes that a new line is looked for in, and of times of arrival that are told apart:
+_REMEMBERED = 14
+"""Number of volumes that a new line is looked for in, and of times of arrival that are told apart:
 what came before them was always there."""
 
 _SHOWS = 0.7
@@ -118,8 +118,7 @@ class Remembered(Immutable):
 
     def in_image(self, p_T: Floats) -> Floats:
         """Return (n, 3) positions in P, in m, at which the volume shows (n, 3) places in tissue."""
-        times = np.full(len(p_T), self.volume.time)
-        p_P = acquired_from(self.volume, p_T + self._displaced(times))
+        p_P = self.volume.X_WP.inverse().multiply((p_T + self.displacement).T).T
         times = self.volume.to_world(p_P)[1]
         return acquired_from(self.volume, p_T + self._displaced(times))
 
@@ -312,7 +311,7 @@ def follow(belief: LineBelief, volume: Volume, *, look: bool = False) -> LineBel
     appearing = belief.appearing
     if len(memory) > 1:
         # The oldest arrivals but "always" are forgotten.
-        appearing = (-50.0, *appearing[1:][1 - _ARRIVALS + 1 :], float(np.log(appears)))
+        appearing = (-50.0, *appearing[1:][2 - _REMEMBERED :], float(np.log(appears)))
     lines = _look_on(belief.lines, memory, len(appearing))
     born = belief.born
     needle = _NEEDLES / max(belief.births, _NEEDLES / _MOST_NEEDLES)
@@ -337,8 +336,9 @@ def follow(belief: LineBelief, volume: Volume, *, look: bool = False) -> LineBel
         total = np.logaddexp.reduce(joint, axis=1)
         classes = joint - total[:, np.newaxis]
         now = classes[:, [0, 1, 2, 3, 5]]
-        # What appeared rests from then on.
-        now[:, 2] = np.logaddexp(classes[:, 2], classes[:, 4])
+        # What appeared rests from then on. Whether it rides shows only while the probe moves.
+        still = np.logaddexp.reduce(classes[:, 2:5], axis=1)[:, np.newaxis]
+        now[:, 2:4] = still + np.log(_OTHERS[:2] / _OTHERS[:2].sum())
         past = np.concatenate([lines.past[:, 1:], now[:, np.newaxis]], axis=1)
         lines = replace(lines, classes=classes, past=past)
         lines = _judged(lines, memory[-1], fits, look)
