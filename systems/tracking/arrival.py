@@ -19,7 +19,7 @@ _MOST = 12
 """Number of bins that a tip may pass between two volumes."""
 
 _SPREAD = 0.35
-"""Standard deviation of an advance, relative to its mean, and that of none, in bins."""
+"""Standard deviation of an advance in bins, and of a hand's relative to its mean."""
 
 _KEEPS = 0.8
 """Probability that a hand goes on as it does from one volume to the next."""
@@ -238,7 +238,7 @@ def _class_logs(  # pragma: no cover - compiled
             for t in range(times):
                 u = max(passing[n, t] if way == 0 else -passing[n, t], 0.0)
                 for d in range(most):
-                    shift[t, 0, d] = math.exp(-0.5 * ((d - u) / (_SPREAD * u + _SPREAD)) ** 2)
+                    shift[t, 0, d] = math.exp(-0.5 * ((d - u) / _SPREAD) ** 2)
                 shift[t, 0] /= shift[t, 0].sum()
             uncovered = _advancing(one, *sides, anywhere, shift, sure[0], sure) - math.log(2)
             a, c = max(result[n, 2], uncovered), min(result[n, 2], uncovered)

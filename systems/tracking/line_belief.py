@@ -274,7 +274,7 @@ class LineBelief(Immutable):
         needle = np.logaddexp(lines.classes[:, 0], lines.classes[:, 1])
         looks = lines.looks / np.maximum(lines.looked, 1)
         odds = needle - np.log(-np.expm1(np.minimum(needle, -1e-12)))
-        likes = np.minimum(np.where(lines.looked > 0, looks, 0.0), _BEST_LOOKS)
+        likes = np.minimum(np.where(lines.looked > 0, looks, _NEUTRAL), _BEST_LOOKS)
         odds = odds + likes - _NEUTRAL
         ends = _seen_ends(lines)
         if len(lines):

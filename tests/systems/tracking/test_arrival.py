@@ -70,8 +70,7 @@ def advancing(factors, moves, seen=None):
 def shifts(passing, most=3):
     """(t, d) probabilities that the end of what is seen passes d bins, if it stays in the image."""
     mean = np.maximum(passing, 0.0)[:, np.newaxis]
-    spread = arrival._SPREAD * (mean + 1)
-    rows = np.exp(-0.5 * ((np.arange(most) - mean) / spread) ** 2)
+    rows = np.exp(-0.5 * ((np.arange(most) - mean) / arrival._SPREAD) ** 2)
     return rows / rows.sum(axis=1, keepdims=True)
 
 
