@@ -18,9 +18,6 @@ SPEEDS = (0.0, 3e-3, 8e-3, 16e-3, 30e-3)
 _MOST = 12
 """Number of bins that a tip may pass between two volumes."""
 
-_SPREAD = 0.35
-"""Standard deviation of an advance in bins, and of a hand's relative to its mean."""
-
 _KEEPS = 0.8
 """Probability that a hand goes on as it does from one volume to the next."""
 
@@ -56,8 +53,7 @@ def _advances(milliseconds: int) -> Floats:
     rows = []
     for speed in SPEEDS:
         mean = speed * 1e-3 * milliseconds / BIN
-        spread = _SPREAD * mean + _SPREAD
-        row = [math.exp(-0.5 * ((b - mean) / spread) ** 2) for b in range(_MOST)]
+        row = [math.exp(-0.5 * ((b - mean) / (0.35 * mean + 0.35)) ** 2) for b in range(_MOST)]
         rows.append(np.array(row) / sum(row))
     return np.array(rows)
 
@@ -65,7 +61,7 @@ def _advances(milliseconds: int) -> Floats:
 def advances(seconds: float) -> Floats:
     """Return (m, d) probabilities of the number of bins that a tip passes in a time in s.
 
-    There is a row for each of the `SPEEDS`.
+    There is a row for each of the `SPEEDS`, from which a hand's differs by about a third.
     """
     return _advances(max(round(1e3 * seconds), 1))
 
@@ -235,11 +231,13 @@ def _class_logs(  # pragma: no cover - compiled
             first[seen] += _ENTERING
             sides = (before, back[::-1]) if way == 0 else (back, before[::-1])
             result[n, way] = _advancing(one, *sides, first, moves, start, change)
+            shift[:] = 0
+            place = 0.0
             for t in range(times):
                 u = max(passing[n, t] if way == 0 else -passing[n, t], 0.0)
-                for d in range(most):
-                    shift[t, 0, d] = math.exp(-0.5 * ((d - u) / _SPREAD) ** 2)
-                shift[t, 0] /= shift[t, 0].sum()
+                step = int(place + u + 0.5) - int(place + 0.5)
+                shift[t, 0, min(step, most - 1)] = 1
+                place += u
             uncovered = _advancing(one, *sides, anywhere, shift, sure[0], sure) - math.log(2)
             a, c = max(result[n, 2], uncovered), min(result[n, 2], uncovered)
             result[n, 2] = a + math.log1p(math.exp(c - a))

@@ -63,15 +63,16 @@ def advancing(factors, moves, seen=None):
             p = first * (0.5 if path[0] == 0 else 0.5 / (modes - 1)) if modes > 1 else first
             for t in range(1, times):
                 p *= switch(path[t - 1], path[t]) * move(t, path[t], steps[t - 1])
+            if p == 0:
+                continue
             logs.append(np.log(p) + came + before(places[0]) + beyond(places[-1]))
     return logsumexp(logs)
 
 
 def shifts(passing, most=3):
     """(t, d) probabilities that the end of what is seen passes d bins, if it stays in the image."""
-    mean = np.maximum(passing, 0.0)[:, np.newaxis]
-    rows = np.exp(-0.5 * ((np.arange(most) - mean) / arrival._SPREAD) ** 2)
-    return rows / rows.sum(axis=1, keepdims=True)
+    places = np.floor(np.cumsum(np.maximum(passing, 0.0)) + 0.5).astype(int)
+    return np.eye(most)[np.diff(places, prepend=0)]
 
 
 def test_classes_are_the_sums_over_all_histories(monkeypatch):
@@ -148,7 +149,7 @@ def kymograph(kind, times=16, bins=40):
         elif kind == "resting":
             there[0, t, 8:26] = True
         elif kind == "uncovered":  # as the probe moves along
-            there[0, t, 4 : max(4, 2 * (t - 1))] = True
+            there[0, t, 4 : 4 + 2 * t] = True
         elif kind == "riding":  # it passes along the line in the tissue, and rests in the image
             there[0, t, 8 if t > 3 else 26 : 26] = t % 4 == 0
             there[1, t, 8:26] = True
