@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from pydrake.math import RigidTransform
 
 from sonoservo.systems.live.image_matcher import PosedImage
-from sonoservo.systems.live.volume_maker import grey_scale
+from sonoservo.systems.live.volume_maker import ImagesToVolumes, grey_scale
 from sonoservo.systems.recording.grey_levels import GreyLevels, void_flags
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.volume import Volume
@@ -26,7 +26,7 @@ def frame_levels(posed: PosedImage, grey: GreyLevels) -> NDArray[Any]:
     return grey(pixels, void)
 
 
-class FramesToVolumes:
+class FramesToVolumes(ImagesToVolumes):
     """Makes a volume of the frames between two turns of the probe, or of so many ``frames``.
 
     The second axis of a frame runs away from the probe. W is the frame that the poses lead to. See
@@ -44,21 +44,17 @@ class FramesToVolumes:
         frames: int | None = None,
         spacing: float = 7e-4,
     ) -> None:
+        super().__init__(window)
         self._scale = grey_scale(dynamic_range_db)
-        self.grey = GreyLevels(window)
         self._splitter = SweepSplitter(frames=frames)
         self._spacing = spacing
 
-    def __call__(self, posed: PosedImage) -> Volume | NotFound:
-        """Take a frame; return the volume that it completes, or a reason, empty if it does not."""
-        try:
-            X_WI = posed.X_WL.GetAsMatrix4() @ posed.image.X_LI
-            sweep = self._splitter.add(PosedFrame(frame_levels(posed, self.grey), X_WI, posed.time))
-            if not sweep:
-                return NotFound("")
-            return reconstruct(sweep, spacing=self._spacing, decibels_per_level=self._scale)
-        except ValueError as error:
-            return NotFound(f"{posed.image.name}: {error}")
+    def _make(self, posed: PosedImage) -> Volume | NotFound:
+        X_WI = posed.X_WL.GetAsMatrix4() @ posed.image.X_LI
+        sweep = self._splitter.add(PosedFrame(frame_levels(posed, self.grey), X_WI, posed.time))
+        if not sweep:
+            return NotFound("")
+        return reconstruct(sweep, spacing=self._spacing, decibels_per_level=self._scale)
 
     def X_WL(self, posed: PosedImage) -> RigidTransform:
         """Pose in W of the frame that results are told in: the reference itself."""

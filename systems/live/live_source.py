@@ -4,7 +4,9 @@ import threading
 import time
 from collections import Counter, deque
 from collections.abc import Callable
-from typing import Any, Protocol, Self
+from typing import Self
+
+from pydrake.math import RigidTransform
 
 from sonoservo.systems.live.connection.address import Address
 from sonoservo.systems.live.connection.items import Item
@@ -16,27 +18,11 @@ from sonoservo.systems.live.image_matcher import (
     least,
     too_many,
 )
-from sonoservo.systems.live.volume_maker import VolumeMaker
-from sonoservo.systems.recording.grey_levels import GreyLevels
+from sonoservo.systems.live.volume_maker import ImagesToVolumes, VolumeMaker
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.volume import Volume
 
 _FRAMES_KEPT, _FIRST_KEPT, _TIMES = 1024, 64, 2000
-
-
-class ImagesToVolumes(Protocol):
-    """Maker of volumes from images, or from many 2D frames each, by grey levels."""
-
-    takes_frames: bool
-    grey: GreyLevels
-
-    def __call__(self, posed: PosedImage) -> Volume | NotFound:
-        """Return the volume that an image completes, or why there is none; empty if none is due."""
-        ...
-
-    def X_WL(self, posed: PosedImage) -> Any:
-        """Pose of the sender's frame in W."""
-        ...
 
 
 class LiveSource:
@@ -104,7 +90,7 @@ class LiveSource:
         counts[LeftOut.NO_VOLUME] += self._no_volume
         return Counter({why.value: count for why, count in counts.items() if count})
 
-    def X_WL(self) -> Any:
+    def X_WL(self) -> RigidTransform:
         """Pose of the sender's frame in W, when the last volume was acquired."""
         assert self.newest is not None
         return self._maker.X_WL(self.newest)

@@ -5,12 +5,11 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.math import RigidTransform
 
 from sonoservo.systems.files.typed_yaml import load_typed, read_yaml
 from sonoservo.systems.live.frames_to_volumes import frame_levels
 from sonoservo.systems.live.image_matcher import PosedImage
-from sonoservo.systems.recording.grey_levels import GreyLevels
+from sonoservo.systems.live.volume_maker import ImagesToVolumes
 from sonoservo.systems.signals.immutable import NotFound, seal
 from sonoservo.systems.signals.requirements import require
 from sonoservo.systems.signals.sweep import Sweep, SweepMotion
@@ -56,7 +55,7 @@ def load_motor_sweep(path: Path) -> MotorSweepParameters:
     return load_typed(MotorSweepParameters, read_yaml(path), str(path))
 
 
-class MotorSweepVolumes:
+class MotorSweepVolumes(ImagesToVolumes):
     """Makes a volume of every sweep of a motorised probe.
 
     A frame's time tells its place in the sweep. Frames of (samples, lines) numbers are converted as
@@ -70,6 +69,7 @@ class MotorSweepVolumes:
     def __init__(
         self, parameters: MotorSweepParameters, *, window: tuple[float, float] | None = None
     ) -> None:
+        super().__init__(window)
         self._start, self._both_ways = parameters.start, parameters.both_ways
         transducer = load_transducer(parameters.probe)
         self.geometry = sweep_geometry(transducer, parameters.imaging)
@@ -83,12 +83,10 @@ class MotorSweepVolumes:
             make_grid(self.geometry, spacing),
             compensate_motion=parameters.scan_conversion.compensate_motion,
         )
-        self.grey = GreyLevels(window)
         self._number = -1
         self._frames: dict[int, PosedImage] = {}
 
-    def __call__(self, posed: PosedImage) -> Volume | NotFound:
-        """Take a frame; return the volume that it completes, or a reason, empty if it does not."""
+    def _make(self, posed: PosedImage) -> Volume | NotFound:
         geometry = self.geometry
         count = round((posed.time - self._start) / geometry.frame_period)
         number, at = divmod(count, geometry.frames)
@@ -102,16 +100,9 @@ class MotorSweepVolumes:
         direction = -1 if self._both_ways and number % 2 else 1
         frames = [self._frames[k] for k in range(geometry.frames)][::direction]
         self._frames = {}
-        try:
-            return self._make(frames, direction)
-        except ValueError as error:
-            return NotFound(f"{posed.image.name}: {error}")
+        return self._volume(frames, direction)
 
-    def X_WL(self, posed: PosedImage) -> RigidTransform:
-        """Pose of the probe's frame in W."""
-        return posed.X_WL
-
-    def _make(self, frames: list[PosedImage], direction: int) -> Volume:
+    def _volume(self, frames: list[PosedImage], direction: int) -> Volume:
         geometry = self.geometry
         pixels = [frame_levels(frame, self.grey) for frame in frames]
         if {each.shape for each in pixels} == {(geometry.samples, geometry.lines)}:

@@ -1,5 +1,6 @@
 """From received images to volumes on one grid in the probe's frame."""
 
+from abc import ABC, abstractmethod
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -8,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform, RotationMatrix
 
-from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.volume_file import check_grid, require_voxels
 from sonoservo.systems.live.connection.items import ImageItem
 from sonoservo.systems.live.image_matcher import PosedImage
@@ -31,7 +31,31 @@ def grey_scale(dynamic_range_db: float | None) -> float:
     return dynamic_range_db / 255
 
 
-class VolumeMaker:
+class ImagesToVolumes(ABC):
+    """Maker of volumes from images, or from many 2D frames each, by `GreyLevels`."""
+
+    takes_frames = False
+
+    def __init__(self, window: tuple[float, float] | None) -> None:
+        self.grey = GreyLevels(window)
+
+    def __call__(self, posed: PosedImage) -> Volume | NotFound:
+        """Return the volume that an image completes, or why there is none; empty if none is due."""
+        try:
+            return self._make(posed)
+        except ValueError as error:
+            return NotFound(f"{posed.image.name}: {error}")
+
+    def X_WL(self, posed: PosedImage) -> RigidTransform:
+        """Pose of the sender's frame L in W, as the volume of an image has it."""
+        return posed.X_WL
+
+    @abstractmethod
+    def _make(self, posed: PosedImage) -> Volume | NotFound:
+        """Do what a call does, or raise a ValueError if the image makes no sense."""
+
+
+class VolumeMaker(ImagesToVolumes):
     """Turns posed images into volumes; the first one decides about the grid.
 
     A grid is placed in the probe's frame as that of a file is (`make_file_grid`), with the sound in
@@ -41,8 +65,6 @@ class VolumeMaker:
     not allowed.
     """
 
-    takes_frames = False
-
     def __init__(
         self,
         *,
@@ -50,26 +72,17 @@ class VolumeMaker:
         window: tuple[float, float] | None = None,
         dynamic_range_db: float | None = None,
     ) -> None:
+        super().__init__(window)
         self._scale = None if dynamic_range_db is None else grey_scale(dynamic_range_db)
         make_file_grid(np.eye(3), np.zeros(3), (2, 2, 2), depth)
         self._depth = depth
-        self.grey = GreyLevels(window)
         self._grid: FileGrid | None = None
         self._shape: tuple[int, ...] = ()
         self._X_LI: NDArray[np.float64] = np.eye(4)
         self._sender = "", ""
 
-    def __call__(self, posed: PosedImage) -> Volume | NotFound:
-        """Return the volume of an image, or why there is none."""
-        try:
-            return self._make(posed)
-        except ValueError as error:
-            return NotFound(f"{posed.image.name}: {error}")
-        except ConfigurationError as error:
-            return NotFound(str(error))
-
     def X_WL(self, posed: PosedImage) -> RigidTransform:
-        """Pose of the sender's frame L in W, as the volume of an image has it."""
+        """Pose of the sender's frame L in W, which moves with the image's own matrix."""
         assert self._grid is not None
         if posed.acquisition is not None:
             return posed.X_WL @ self._grid.X_LP.inverse()

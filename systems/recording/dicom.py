@@ -14,7 +14,6 @@ from sonoservo.systems.recording.pose_table import read_pose_table
 
 _TISSUE = 1
 _CENTIMETRES = 3  # Codes of a region of 2D tissue, and of centimetres as its unit
-_GREY = ("MONOCHROME1", "MONOCHROME2")
 
 
 def open_dicom(path: Path, *, frames: bool = False) -> VolumeFile:

@@ -62,7 +62,8 @@ class Immutable:
 
     def __post_init__(self) -> None:
         check_bounds(self)
-        shapes = _shapes(type(self))
+        schema: Any = type(self)
+        shapes = _shapes(schema)
         known = self._extents() if shapes else {}
         for name, shape, optional in shapes:
             held = getattr(self, name)

@@ -83,9 +83,12 @@ class NeedleExtent(Immutable):
     tip_std: float
     """Abscissa of the end that is taken for the tip, and its standard deviation."""
 
-    hidden_std: float
-    """Standard deviation of what is not seen beyond the end: of the bevel, or of a needle that
-    fades. It stays as long as the needle is turned as it is, and is not part of ``tip_std``."""
+    bevel_std: float
+    """Standard deviation of the part of the bevel that is not seen beyond the end. It stays as long
+    as the bevel is turned as it is, and is not part of ``tip_std``."""
+
+    unseen: float
+    """Probability that a needle which goes on beyond the end is not seen there."""
 
     seen: float
     """Probability that this is the end."""

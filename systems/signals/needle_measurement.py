@@ -46,9 +46,12 @@ class NeedleMeasurement(Immutable):
     """Other places of the tip along the needle: probabilities, distances from the end of the curve
     and standard deviations, in m. The covariance is that of the first place alone."""
 
-    hidden_std: float = 0.0
-    """Standard deviation along the needle, in m, of an error of the tip that all measurements have
-    in common, as long as the needle is turned as it is; not part of the covariance."""
+    common: Annotated[NDArray[np.float64], Shape("3n", "3n")] | None = None
+    """Covariance of an error of the control points that all measurements have in common, in m^2;
+    not part of the other one, and none if it is None."""
+
+    unseen: Fraction = 0.0
+    """Probability that a needle which goes on beyond the end is not seen there."""
 
     def _extents(self) -> dict[str, int]:
         return {"n": self.curve.order}

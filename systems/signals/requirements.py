@@ -141,12 +141,6 @@ def check_bounds(value: Any) -> None:
             require(bound.fits(each), f"{name}.{number}", each, bound.allowed)
 
 
-def bounded_fields(schema: type) -> list[str]:
-    """Return the names of a dataclass's fields that have a bound themselves."""
-    found = annotations_of(schema, Bound)
-    return list({name: None for name, _, of_elements, _ in found if not of_elements})
-
-
 class Bounded:
     """Base of dataclasses whose bounds are checked after construction.
 

@@ -1,14 +1,16 @@
-"""Interacting Kalman filters on the needle's control points: steady, unsteady and carried along."""
+"""Interacting Kalman filters on a needle that moves in three ways, and its end in three."""
 
 import math
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
-from filterpy.kalman import predict
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform
+from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
+from scipy.special import ndtr
 
 from sonoservo.systems.signals.immutable import Immutable, Shape, Vector3
 from sonoservo.systems.signals.needle_curve import NeedleCurve
@@ -16,6 +18,7 @@ from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
 from sonoservo.systems.signals.requirements import Positive, check_bounds, require
 from sonoservo.systems.signals.velocity_measurement import VelocityMeasurement
 from sonoservo.systems.tracking.needle_motion import NeedleMotionParameters, constant_velocity
+from sonoservo.systems.tracking.tip import REACH
 
 Floats = NDArray[np.float64]
 
@@ -25,65 +28,76 @@ _AVERAGED = 0.05
 
 @dataclass(frozen=True, eq=False)
 class InteractingState(Immutable):
-    """Belief of each motion model about X = (p_1 ... p_n, their velocities, repeated error).
+    """Belief about the needle as it is seen, and about what is not seen of it.
 
-    Parameters
-    ----------
-    time
-        Time for which the state holds, in s.
-    means, covariances
-        (3, 9n) means and (3, 9n, 9n) covariances under each model, in W: control points in m,
-        their velocities in m/s, and the repeated error of the measured points, relative to its
-        standard deviation.
-    weights
-        (3,) probabilities of the models.
-    constant
-        (3n, 3n) covariance of an error that all measurements of the points have in common, in m^2.
-    seen
-        Last measurement.
-    axis
-        (3,) direction of the needle, averaged over seconds.
+    There is a row for each of three motions of the needle as a whole and three of its end. With n
+    control points, d = 9n + 2.
     """
 
     time: float
-    means: Annotated[Floats, Shape(3, "n")]
-    covariances: Annotated[Floats, Shape(3, "n", "n")]
-    weights: Vector3
-    constant: Annotated[Floats, Shape("m", "m")]
+    """Time for which the state holds, in s."""
+
+    means: Annotated[Floats, Shape(9, "d")]
+    """In W: control points from the entry to the end that is seen in m, their velocities in m/s,
+    and the repeated error of the measured points, relative to its standard deviation; length of
+    needle in m from there to the tip, and the speed in m/s at which it grows. These last two are 0
+    unless the end hides."""
+
+    covariances: Annotated[Floats, Shape(9, "d", "d")]
+    """Covariances of the same."""
+
+    weights: Annotated[Floats, Shape(9)]
+    """Probabilities of the motions."""
+
+    constant: Annotated[Floats, Shape("3n", "3n")]
+    """Covariance of an error that all measurements of the points have in common, in m^2."""
+
     seen: NeedleMeasurement
+    """Last measurement."""
+
     axis: Vector3
+    """Direction of the needle, averaged over seconds."""
 
     @property
     def _size(self) -> int:
         return self.means.shape[-1] // 3
 
-    @property
-    def mean(self) -> Floats:
-        """(9n,) mean over the models."""
-        return np.asarray(self.weights @ self.means)
+    @cached_property
+    def _needle(self) -> tuple[Floats, Floats]:
+        """Mean (6n,) and covariance of the needle's control points and velocities up to its tip."""
+        size = self._size
+        _, mean, P = _mixed(self.weights, self.means, self.covariances)
+        beyond = _beyond(self.axis, size)
+        C = np.eye(2 * size, 3 * size + 2)
+        C[:size, -2], C[size:, -1] = beyond, beyond
+        covariance = C @ P @ C.T
+        # What is not seen goes on along the needle, whose direction is not known exactly.
+        points, k = mean[:size].reshape(-1, 3), self.axis
+        aside = np.kron([-1.0, *np.zeros(size // 3 - 2), 1.0], np.eye(3) - np.outer(k, k))
+        turns = aside @ P[:size, :size] @ aside.T / np.sum((points[-1] - points[0]) ** 2)
+        covariance[size - 3 : size, size - 3 : size] += (P[-2, -2] + mean[-2] ** 2) * turns
+        covariance[:size, :size] += self.constant
+        return C @ mean, covariance
 
     @property
     def curve(self) -> NeedleCurve:
         """Curve of the control points in W."""
-        return NeedleCurve(self.mean[: self._size].reshape(-1, 3))
+        return NeedleCurve(self._needle[0][: self._size].reshape(-1, 3))
 
     @property
     def velocity(self) -> Floats:
         """(n, 3) velocities of the control points in W, in m/s."""
-        return self.mean[self._size : 2 * self._size].reshape(-1, 3)
+        return self._needle[0][self._size :].reshape(-1, 3)
 
     @property
     def covariance(self) -> Floats:
         """(6n, 6n) covariance of the control points and their velocities over the models."""
-        size = self._size
-        _, P = _mixed(self.weights, self.means, self.covariances)
-        P[:size, :size] += self.constant
-        return np.asarray(P[: 2 * size, : 2 * size])
+        return self._needle[1]
 
     def transformed(self, X: RigidTransform) -> "InteractingState":
         """Return the state moved by a rigid transform, with its velocities rotated."""
         n = self._size // 3
-        R = np.kron(np.eye(3 * n), X.rotation().matrix())
+        R = block_diag(np.kron(np.eye(3 * n), X.rotation().matrix()), np.eye(2))
         means = self.means @ R.T
         means[:, : 3 * n] += np.tile(X.translation(), n)
         points = R[: 3 * n, : 3 * n]
@@ -112,6 +126,10 @@ class InteractingFilter:
     direction. A hand rests or pushes evenly most of the time, and then the measurements of many
     volumes count. It starts and stops, and tissue that breathes carries the needle along.
 
+    Under each of them, the end that is seen advances, rests or hides. One that advances is the tip.
+    One that rests is so because the hand rests, or because the needle's echo fades there: then it
+    goes on unseen, and what is not seen grows as the hand pushes.
+
     Most of a measurement's error is due to the needle's speckle. It repeats itself as long as
     neither probe nor needle moves, and a repetition is no evidence. The repeated part is therefore
     a state of its own, and its correlation between volumes falls with the motion in between.
@@ -124,10 +142,10 @@ class InteractingFilter:
         Name of the filter, always "interacting".
     steady, unsteady, carried
         Spectral densities of the needle's acceleration under each model.
-    steady_time, unsteady_time, carried_time
-        Mean time for which a needle moves steadily, unsteadily and with the tissue, in s.
+    lasting
+        Mean time in s for which a needle, or its end, moves in one way.
     unseen_time
-        Time in s in which the velocity falls to 1/e while the tip is not seen. A hand that pushes
+        Time in s in which the speed of a tip that is not seen falls to 1/e. A hand that pushes
         stops before long.
     constant, repeated
         Shares of a measurement's variance that never change, and that repeat themselves at the same
@@ -150,9 +168,7 @@ class InteractingFilter:
     carried: NeedleMotionParameters = field(
         default_factory=lambda: NeedleMotionParameters(body=3e-5)
     )
-    steady_time: Positive = 3.0
-    unsteady_time: Positive = 1.0
-    carried_time: Positive = 1.0
+    lasting: Positive = 2.0
     unseen_time: Positive = 0.5
     constant: float = 0.25
     repeated: float = 0.65
@@ -169,33 +185,30 @@ class InteractingFilter:
         require(both < 1, "constant + repeated", both, "below 1")
         check_bounds(self)
 
-    @property
-    def _times(self) -> Floats:
-        return np.array([self.steady_time, self.unsteady_time, self.carried_time])
-
     def start(self, measurement: NeedleMeasurement) -> InteractingState:
         """Return the state after a first measurement, with an unknown velocity."""
         curve, R = measurement.curve, measurement.covariance
-        size = 3 * curve.order
-        u, k = np.linspace(0, 1, curve.order), curve.direction
+        size, k = 3 * curve.order, curve.direction
         points, velocities, errors = (slice(i * size, (i + 1) * size) for i in range(3))
-        P = np.zeros((3 * size, 3 * size))
+        P = np.zeros((3 * size + 2, 3 * size + 2))
         P[points, points] = measurement.total_covariance - self.constant * R
-        P[velocities, velocities] = self.first_drift_std**2 * np.eye(
-            size
-        ) + self.first_speed_std**2 * np.kron(np.outer(u, u), np.outer(k, k))
+        P[velocities, velocities] = self.first_drift_std**2 * np.eye(size)
         # The points are known by the measurement only: where its error is, they are not.
         root = np.sqrt(self.repeated) * _root(R)
         P[errors, errors] = np.eye(size)
         P[points, errors], P[errors, points] = -root, -root.T
-        mean = np.concatenate([curve.control_points.ravel(), np.zeros(2 * size)])
-        # As many as there are on average: all models are left for each other one alike.
-        weights = self._times / self._times.sum()
+        advancing, hidden = P.copy(), P.copy()
+        beyond = _beyond(k, size)
+        advancing[velocities, velocities] += self.first_speed_std**2 * np.outer(beyond, beyond)
+        hidden[-2, -2], hidden[-1, -1] = 2 * REACH**2, self.first_speed_std**2
+        mean = np.concatenate([curve.control_points.ravel(), np.zeros(2 * size + 2)])
+        unseen = measurement.unseen
         return InteractingState(
             measurement.time,
-            np.stack([mean] * len(weights)),
-            np.stack([P] * len(weights)),
-            weights,
+            np.stack([mean] * 9),
+            np.stack([advancing, P, hidden] * 3),
+            # Before anything is known, a hand that pushes is as probable as one that rests.
+            np.tile([0.5 * (1 - unseen), 0.5 * (1 - unseen), unseen], 3) / 3,
             self._constant(measurement, R),
             measurement,
             k,
@@ -206,21 +219,30 @@ class InteractingFilter:
         dt = time - state.time
         if dt <= 0:
             return state
-        switch = transition(dt, self._times)
-        fades = self.unseen_time / max(1 - state.seen.tip_seen, 1e-9)
-        weights = state.weights @ switch
-        means, covariances = np.empty_like(state.means), np.empty_like(state.covariances)
-        size = state.means.shape[1] // 3
-        moving, curve = 2 * size, state.curve
+        left = 1 - math.exp(-dt / self.lasting)
+        switch = np.kron((1 - 1.5 * left) * np.eye(3) + 0.5 * left, np.eye(3))
+        weights, x, P = _mixed(switch * state.weights, state.means, state.covariances)
+        size, curve = state.means.shape[1] // 3, state.curve
+        moving, count = slice(2 * size), len(weights)
+        A = np.stack([np.eye(3 * size + 2)] * count)
+        Q = np.zeros_like(A)
         for model, motion in enumerate((self.steady, self.unsteady, self.carried)):
-            came_from = state.weights * switch[:, model] / weights[model]
-            mean, P = _mixed(came_from, state.means, state.covariances)
-            A, Q = np.eye(3 * size), np.zeros((3 * size, 3 * size))
-            A[:moving, :moving], Q[:moving, :moving] = constant_velocity(
-                dt, motion.density(curve), fades=fades
+            n, rests = 3 * model, replace(motion, insertion=0.0)
+            A[n, moving, moving], Q[n, moving, moving] = constant_velocity(
+                dt, motion.density(curve)
             )
-            means[model], covariances[model] = predict(mean, P, A, Q)
-        return replace(state, time=time, means=means, covariances=covariances, weights=weights)
+            A[n + 1 : n + 3, moving, moving], Q[n + 1 : n + 3, moving, moving] = constant_velocity(
+                dt, rests.density(curve)
+            )
+            A[n + 2, -2:, -2:], Q[n + 2, -2:, -2:] = constant_velocity(
+                dt, np.array([[motion.insertion]]), fades=self.unseen_time
+            )
+        means = (A @ x[..., np.newaxis])[..., 0]
+        covariances = A @ P @ A.swapaxes(1, 2) + Q
+        weights = weights * _beyond_end(means, covariances) / _beyond_end(x, P)
+        return replace(
+            state, time=time, means=means, covariances=covariances, weights=weights / weights.sum()
+        )
 
     def update(
         self,
@@ -238,11 +260,13 @@ class InteractingFilter:
         axis = axis / np.linalg.norm(axis)
         turned = np.kron(np.eye(size // 3), _rotation(measurement.curve.direction, axis))
         R = turned @ measurement.covariance @ turned.T
+        state = self._switched(state, measurement)
         kept = self._correlation(state.seen, measurement)
-        fades = np.r_[np.ones(2 * size), np.full(size, kept)]
-        renewed = np.diag(np.r_[np.zeros(2 * size), np.full(size, 1 - kept**2)])
-        C = np.hstack([np.eye(size), np.zeros((size, size)), np.sqrt(self.repeated) * _root(R)])
-        # The tip may be at any of its places, so each is tried (Bar-Shalom and Tse 1975).
+        fades = np.r_[np.ones(2 * size), np.full(size, kept), 1.0, 1.0]
+        renewed = np.diag(np.r_[np.zeros(2 * size), np.full(size, 1 - kept**2), 0.0, 0.0])
+        parts = np.eye(size), np.zeros((size, size)), np.sqrt(self.repeated) * _root(R)
+        C = np.hstack([*parts, np.zeros((size, 2))])
+        # The end may be at any of its places, so each is tried (Bar-Shalom and Tse 1975).
         probabilities, z, wide = map(np.array, zip(*measurement.places, strict=True))
         noise = turned @ wide @ turned.T - (self.constant + self.repeated) * R
         mean = fades * state.means
@@ -250,36 +274,76 @@ class InteractingFilter:
         # Under each (model, place): correction, and how well it fits.
         S = (C @ P @ C.T)[:, np.newaxis] + noise
         y = z - (mean @ C.T)[:, np.newaxis]
-        gains = np.linalg.solve(S, (C @ P)[:, np.newaxis]).swapaxes(-1, -2)
-        distances = np.einsum("mpi,mpi->mp", y, np.linalg.solve(S, y[..., np.newaxis])[..., 0])
+        inverse, CP = np.linalg.inv(S), (C @ P)[:, np.newaxis]
+        gains = CP.swapaxes(-1, -2) @ inverse
+        distances = np.einsum("mpi,mpij,mpj->mp", y, inverse, y)
         fits = -0.5 * (distances + np.linalg.slogdet(S)[1])
-        weights = probabilities * np.exp(fits - fits.max())
+        weights = np.maximum(probabilities * np.exp(fits - fits.max()), 1e-300)
         found = mean[:, np.newaxis] + (gains @ y[..., np.newaxis])[..., 0]
-        spreads = P[:, np.newaxis] - gains @ S @ gains.swapaxes(-1, -2)
-        weights = np.maximum(weights, 1e-300)
-        shares = weights / weights.sum(axis=1, keepdims=True)
-        mixed = [_mixed(*each) for each in zip(shares, found, spreads, strict=True)]
-        means, covariances = map(np.array, zip(*mixed, strict=True))
-        weights *= state.weights[:, np.newaxis] / (state.weights @ weights).sum()
+        _, means, covariances = _mixed(weights, found, P[:, np.newaxis] - gains @ CP)
+        prior = state.weights * _beyond_end(means, covariances) / _beyond_end(mean, P)
+        weights *= prior[:, np.newaxis] / (prior @ weights).sum()
         return replace(
             state,
             means=means,
             covariances=0.5 * (covariances + covariances.swapaxes(-1, -2)),
             weights=weights.sum(axis=1),
             constant=self._constant(measurement, R),
-            seen=replace(measurement, tip_seen=min(float(weights[:, 0].sum()), 1.0)),
+            seen=measurement,
             axis=axis,
+        )
+
+    def _switched(self, state: InteractingState, now: NeedleMeasurement) -> InteractingState:
+        """Return the state before a measurement: its end may rest now, hide, or advance.
+
+        The farther the tip has advanced and the more the view of it has changed, the more of what
+        hides it is new.
+        """
+        before, dt = state.seen, now.time - state.seen.time
+        size, k = 3 * now.curve.order, state.axis
+        velocity, beyond = state.velocity, _beyond(k, size)
+        advanced, slid = abs((velocity[-1] - velocity[0]) @ k) * dt, 0.0
+        if before.X_WP is not None and now.X_WP is not None:
+            # What fades by the angle at which sound meets it moves along with the probe.
+            X, end = now.X_WP.multiply(before.X_WP.inverse()), before.curve.tip
+            turned = X.rotation().ToAngleAxis().angle() * (end - now.X_WP.translation())
+            slid = math.hypot((X.multiply(end) - end) @ k, np.linalg.norm(turned))
+        renewed = 1 - math.exp(-(advanced + slid) / REACH)
+        hides, shows = renewed * now.unseen, renewed * (1 - now.unseen)
+        changes = 1 - math.exp(-dt / self.lasting)
+        # An end that hides stops while the needle advances. One that stops or starts is the tip,
+        # and what hid shows itself where the needle ends.
+        same, hide, show = (np.eye(3 * size + 2) for _ in range(3))
+        speed = np.r_[-k, np.zeros(size - 6), k]
+        hide[:size, size : 2 * size] -= dt * np.outer(beyond, speed)
+        hide[size : 2 * size, size : 2 * size] -= np.outer(beyond, speed)
+        stop = hide.copy()
+        hide[-2:, size : 2 * size] = np.outer([dt, 1.0], speed)
+        show[:size, -2], show[size : 2 * size, -1] = beyond, beyond
+        show[-2:] = 0
+        slides, starts = (np.zeros(3 * size + 2) for _ in range(2))
+        slides[:size], slides[-2] = slid * beyond, -slid
+        starts[size : 2 * size] = self.first_speed_std * beyond
+        stays, changed = (1 - hides) * (1 - changes), (1 - hides) * changes
+        # From an end that advances, rests or hides to one that does, by row.
+        ways = np.array([[stays, changed, shows], [changed, stays, 0], [hides, hides, 1 - shows]])
+        T = np.array([[same, same, show], [stop, same, same], [hide, same, same]])
+        drift = np.zeros((3, 3, len(same)))
+        drift[0, 1], drift[2, 1:] = starts, slides
+        x, P = state.means.reshape(3, 1, 3, -1, 1), state.covariances.reshape(3, 1, 3, *same.shape)
+        P = T @ P @ T.swapaxes(-1, -2) + drift[..., np.newaxis] * drift[..., np.newaxis, :]
+        came = ways * state.weights.reshape(3, 1, 3)
+        weights, means, covariances = _mixed(came, (T @ x)[..., 0], P)
+        return replace(
+            state,
+            weights=weights.ravel(),
+            means=means.reshape(state.means.shape),
+            covariances=covariances.reshape(state.covariances.shape),
         )
 
     def _constant(self, measurement: NeedleMeasurement, R: Floats) -> Floats:
         """Return the covariance of the errors that all measurements have in common."""
-        k = measurement.curve.direction
-        # What is not seen goes on along the needle, whose direction is not known exactly.
-        span = np.kron([1.0, *np.zeros(measurement.curve.order - 2), -1.0], np.eye(3))
-        turns = span @ R @ span.T / measurement.curve.chord**2
-        constant = self.constant * R
-        constant[-3:, -3:] += measurement.hidden_std**2 * (np.outer(k, k) + turns)
-        return constant
+        return self.constant * R + (0 if measurement.common is None else measurement.common)
 
     def _correlation(self, before: NeedleMeasurement, now: NeedleMeasurement) -> float:
         """Return the correlation of the repeated errors of two measurements."""
@@ -304,6 +368,16 @@ class InteractingFilter:
         return float(np.exp(-0.5 * apart @ apart) * min(stds) / max(stds))
 
 
+def _beyond(axis: Floats, size: int) -> Floats:
+    """Return the (3n,) displacements of control points for 1 m of the last along an axis."""
+    return np.kron(np.linspace(0, 1, size // 3), axis)
+
+
+def _beyond_end(means: Floats, covariances: Floats) -> Floats:
+    """Return (9,) probabilities that no tip lies before the end that is seen."""
+    return ndtr(means[:, -2] / np.sqrt(np.maximum(covariances[:, -2, -2], 1e-12)))
+
+
 def _rotation(start: Floats, end: Floats) -> Floats:
     """Return the (3, 3) smallest rotation that turns one unit vector into another."""
     turn = np.cross(start, end)
@@ -318,28 +392,14 @@ def _root(R: Floats) -> Floats:
     return np.asarray((vectors * np.sqrt(values.clip(0))) @ vectors.T)
 
 
-def transition(dt: float, times: Floats) -> Floats:
-    """Return the (3, 3) probabilities of going from each of three models to each other.
-
-    A model holds for its mean time of `times` and is left for each other one alike; both times in
-    s. The rates' exponential is closed: their eigenvalues are 0, for the share of time spent in
-    each model, and -m - d and -m + d, for all that passes.
-    """
-    a, b, c = (0.5 * dt / float(time) for time in times)
-    rates = np.array([[-2 * a, a, a], [b, -2 * b, b], [c, c, -2 * c]])
-    m, d = a + b + c, math.sqrt(0.5 * ((a - b) ** 2 + (b - c) ** 2 + (c - a) ** 2))
-    lasting = np.broadcast_to(times / times.sum(), (3, 3))
-    passing = np.eye(3) - lasting
-    # exp(-m) times cosh(d) and sinh(d) / d, without overflow.
-    slower = math.exp(d - m)
-    cosh = 0.5 * slower * (1 + math.exp(-2 * d))
-    sinh = -0.5 * slower * math.expm1(-2 * d) / d if d > 0 else slower
-    return np.asarray(lasting + cosh * passing + sinh * (rates + m * passing))
-
-
-def _mixed(weights: Floats, means: Floats, covariances: Floats) -> tuple[Any, Any]:
-    """Return mean and covariance of a mixture of Gaussians."""
-    mean = weights @ means
-    apart = means - mean
-    P = np.einsum("m,mij->ij", weights, covariances) + (apart.T * weights) @ apart
-    return mean, P
+def _mixed(weights: Floats, means: Floats, covariances: Floats) -> tuple[Any, Any, Any]:
+    """Return weight, mean and covariance of mixtures of Gaussians, (..., m) weighted ones each."""
+    total = weights.sum(axis=-1)
+    shares = (weights / np.maximum(total, 1e-300)[..., np.newaxis])[..., np.newaxis, :]
+    mean = (shares @ means)[..., 0, :]
+    apart = means - mean[..., np.newaxis, :]
+    size = means.shape[-1]
+    flat = covariances.reshape(*covariances.shape[:-2], size**2)
+    P = (shares @ flat)[..., 0, :].reshape(*mean.shape, size)
+    P += (apart.swapaxes(-1, -2) * shares) @ apart
+    return total, mean, P

@@ -45,7 +45,7 @@ _MIRRORED, _MIRROR_ANGLE = 30.0, math.radians(10)
 """How much brighter a smooth needle is that mirrors sound back, in dB, and the angle from there in
 which most of that goes (Nichols et al. 2003, and the echo of a steel cylinder)."""
 
-_REACH = 20e-3
+REACH = 20e-3
 """Mean length in m of what is not seen of a needle, beyond where it was last seen."""
 
 _NEAR, _PLACES = 6e-3, 3
@@ -251,7 +251,7 @@ def find_extent(profile: AxisProfile, parameters: TipParameters) -> NeedleExtent
     )
     places = _places(profile.a, first, logs, beyond)
     seen, tip, std = places[0]
-    at, beyond_at = np.searchsorted(profile.a[:-1], [tip, tip + _REACH / 2])
+    at, beyond_at = np.searchsorted(profile.a[:-1], [tip, tip + REACH / 2])
     turned = 0.0
     if profile.incidence is not None:
         law = _MIRRORED * np.exp(-profile.incidence[[at, beyond_at]] / _MIRROR_ANGLE)
@@ -266,7 +266,8 @@ def find_extent(profile: AxisProfile, parameters: TipParameters) -> NeedleExtent
         end=float(profile.a[last]),
         tip=float(tip),
         tip_std=float(std),
-        hidden_std=_hidden_std(float(tops[at]), turned, parameters),
+        bevel_std=math.sqrt((1 - _mirror_share(tops[at])) / 3) * parameters.bevel_length,
+        unseen=_unseen(float(tops[at]), turned, parameters.contrast),
         seen=float(seen),
         elsewhere=places[1:] - [0.0, tip, 0.0],
         entered=float(profile.a[unseen[-1]]) if len(unseen) else -np.inf,
@@ -364,9 +365,9 @@ def _places(
     The most probable ones come first, and all that is left last.
     """
     step, top = float(a[1] - a[0]), max(float(logs.max()), beyond)
-    farther = (a - a[first]) / _REACH
-    weights = np.exp(logs - top - farther) * (step / _REACH)
-    rest, rest_at = math.exp(beyond - top - farther[-1]), float(a[-1]) + _REACH
+    farther = (a - a[first]) / REACH
+    weights = np.exp(logs - top - farther) * (step / REACH)
+    rest, rest_at = math.exp(beyond - top - farther[-1]), float(a[-1]) + REACH
     total, near = weights.sum() + rest, round(_NEAR / step)
     weights, rest = weights / total, rest / total
     places = []
@@ -383,20 +384,16 @@ def _places(
     left = weights.sum() + rest
     if left > 0:
         mean = (weights @ a + rest * rest_at) / left
-        variance = (weights @ (a - mean) ** 2 + rest * ((rest_at - mean) ** 2 + _REACH**2)) / left
+        variance = (weights @ (a - mean) ** 2 + rest * ((rest_at - mean) ** 2 + REACH**2)) / left
         places.append((left, mean, math.sqrt(variance + step**2)))
     return np.array(places)
 
 
-def _hidden_std(top: float, turned: float, parameters: TipParameters) -> float:
-    """Return the deviation in m of what is not seen of a needle beyond an end.
+def _unseen(top: float, turned: float, neutral: float) -> float:
+    """Return the probability that a needle goes on beyond an end, but is no brighter than tissue.
 
-    A rough end, with a contrast of ``top`` dB before it, may be that of the shaft or of the bevel;
-    a mirror's is that of the bevel. A needle whose contrast, changed by ``turned`` dB as the sound
-    meets it at another angle, hardly exceeds the tissue's may go on unseen.
+    Its contrast is ``top`` dB before the end, changed by ``turned`` dB as the sound meets it at
+    another angle there.
     """
     level = max(top, 0.0)
-    std = _NOTHING + _SPREAD * min(level, 16.0)
-    unseen = ndtr((parameters.contrast - level - turned) / std)
-    rough = 1 - _mirror_share(top)
-    return math.sqrt(rough * parameters.bevel_length**2 / 3 + 2 * unseen * _REACH**2)
+    return float(ndtr((neutral - level - turned) / (_NOTHING + _SPREAD * min(level, 16.0))))

@@ -97,7 +97,8 @@ def test_a_needle_is_found_and_followed_with_other_probes(
         scenario = load_scenario(
             "chatelain2013_fig5", changes=[*changes, *IMAGING.get(imaging, [])], seed=seed
         )
-        runs.append(Record.of(record(run_open_loop(scenario, [TRACKER])[TRACKER])))
+        logs, volumes = run_open_loop(scenario, [TRACKER])
+        runs.append(Record.kept_by(record(logs[TRACKER], volumes)))
     tip = np.concatenate([each.tip[each.judged] for each in runs])
     inside = np.concatenate([each.inside["tip"][each.judged] for each in runs])
     numbers = [sum(each.found for each in runs), sum(each.kept for each in runs)]

@@ -10,9 +10,9 @@ from sonoservo.diagrams.app.volumes.reconstruct import ReconstructedRecording
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.live.connection.address import Address
 from sonoservo.systems.live.frames_to_volumes import FramesToVolumes
-from sonoservo.systems.live.live_source import ImagesToVolumes, LiveSource
+from sonoservo.systems.live.live_source import LiveSource
 from sonoservo.systems.live.motor_sweep import MotorSweepVolumes, load_motor_sweep
-from sonoservo.systems.live.volume_maker import VolumeMaker
+from sonoservo.systems.live.volume_maker import ImagesToVolumes, VolumeMaker
 from sonoservo.systems.recording.plus_configuration import (
     PlusConfiguration,
     read_calibration,

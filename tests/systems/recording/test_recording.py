@@ -87,15 +87,6 @@ def test_tracked_volumes_of_plus_have_poses_and_invalid_ones_are_skipped(tmp_pat
     np.testing.assert_allclose(place(still[2], [1, 2, 3]), place_mm)
 
 
-def test_transforms_of_the_image_are_in_voxels(tmp_path):
-    fields = {
-        "Seq_Frame0000_ImageToReferenceTransform": "0.3 0 0 -20 0 0.6 0 5 0 0 1.1 -30 0 0 0 1",
-        "Seq_Frame0000_ImageToReferenceTransformStatus": "OK",
-    }
-    (volume,) = Recording(write_meta_image(tmp_path / "a.mha", ARRAYS[:1], fields))
-    np.testing.assert_allclose(place(volume, [1, 2, 3]), [-19.7, 6.2, -26.7])
-
-
 def change(path, old, new):
     data = path.read_bytes()
     assert old in data

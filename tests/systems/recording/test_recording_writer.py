@@ -93,16 +93,6 @@ def test_others_read_the_same_voxels_at_the_same_millimetre(recorded, volumes):
     assert times == [volume.time for volume in volumes]
 
 
-def test_poses_and_times_are_there_for_who_has_no_acquisition(recorded, volumes):
-    recorded.with_name("a.acquisition.jsonl").unlink()
-    recording = Recording(recorded)
-    for volume, original in zip(recording, volumes, strict=True):
-        assert volume.time == original.time
-        assert volume.X_WP.IsNearlyEqualTo(original.X_WP, 1e-12)
-        np.testing.assert_allclose(volume.origin, original.origin, atol=1e-12)
-        assert volume.motion is None
-
-
 def test_of_an_interrupted_recording_everything_written_is_there(tmp_path, volumes):
     script = """
 import sys, time
@@ -176,8 +166,12 @@ def test_older_recordings_told_their_range_or_nothing(recorded, volumes, older, 
     side.write_text("\n".join([json.dumps(kept | (older or {})), *lines, ""]))
     if older is None:
         side.unlink()
-    for k, volume in enumerate(Recording(recorded)):
-        np.testing.assert_array_equal(volume.intensities, volumes[k].intensities)
+    for volume, original in zip(Recording(recorded), volumes, strict=True):
+        np.testing.assert_array_equal(volume.intensities, original.intensities)
+        assert volume.time == original.time
+        assert volume.X_WP.IsNearlyEqualTo(original.X_WP, 1e-12)
+        np.testing.assert_allclose(volume.origin, original.origin, atol=1e-12)
+        assert (volume.motion is None) == (older is None)
         assert volume.decibels_per_level == decibels / 255
         assert volume.point_spread is None
     assert Recording(recorded, dynamic_range_db=72.0)[0].decibels_per_level == 72 / 255

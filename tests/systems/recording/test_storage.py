@@ -359,15 +359,6 @@ REFUSED = {
 }
 
 
-@pytest.mark.parametrize("name", REFUSED)
-def test_what_meta_images_say_and_is_not_understood_is_refused(tmp_path, name):
-    lines, message = REFUSED[name]
-    head = ["DimSize = 5 4 3", "ElementType = MET_UCHAR", *lines, "ElementDataFile = LOCAL", ""]
-    (tmp_path / "a.mha").write_bytes("\n".join(head).encode() + packed(GREY, "u1", "<") * 2)
-    with pytest.raises(ConfigurationError, match=message):
-        Recording(tmp_path / "a.mha")
-
-
 NRRD_REFUSED = {
     "space": (["space: heaven"], "anatomical names"),
     "left-handed": (["space: 3D-left-handed"], "anatomical names"),
@@ -381,22 +372,28 @@ NRRD_REFUSED = {
 }
 
 
-@pytest.mark.parametrize("name", NRRD_REFUSED)
-def test_what_nrrd_headers_say_and_is_not_understood_is_refused(tmp_path, name):
-    lines, message = NRRD_REFUSED[name]
-    head = [
-        "NRRD0004",
-        "type: uchar",
-        "dimension: 3",
-        "sizes: 5 4 3",
-        "encoding: raw",
-        *lines,
-        "",
-        "",
-    ]
-    (tmp_path / "a.nrrd").write_bytes("\n".join(head).encode() + packed(GREY, "u1", "<"))
+HEADS = {
+    "a.mha": (["DimSize = 5 4 3", "ElementType = MET_UCHAR"], ["ElementDataFile = LOCAL", ""]),
+    "a.nrrd": (
+        ["NRRD0004", "type: uchar", "dimension: 3", "sizes: 5 4 3", "encoding: raw"], ["", ""]
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("file", "lines", "message"),
+    [
+        *(("a.mha", *case) for case in REFUSED.values()),
+        *(("a.nrrd", *case) for case in NRRD_REFUSED.values()),
+    ],
+    ids=[*REFUSED, *NRRD_REFUSED],
+)
+def test_what_headers_say_and_is_not_understood_is_refused(tmp_path, file, lines, message):
+    first, last = HEADS[file]
+    head = "\n".join([*first, *lines, *last]).encode()
+    (tmp_path / file).write_bytes(head + packed(GREY, "u1", "<") * 2)
     with pytest.raises(ConfigurationError, match=message):
-        Recording(tmp_path / "a.nrrd")
+        Recording(tmp_path / file)
 
 
 @pytest.mark.parametrize("where", ["first", "last"])
@@ -418,15 +415,8 @@ def test_colours_are_refused_or_their_luminance_is_taken(tmp_path, kind, where):
 
 
 def test_unknown_fields_and_missing_geometry_are_said(tmp_path):
-    head = [
-        "NRRD0004",
-        "type: uchar",
-        "dimension: 3",
-        "sizes: 5 4 3",
-        "encoding: raw",
-        "mood:=good",
-    ]
-    (tmp_path / "a.nrrd").write_bytes("\n".join([*head, "", ""]).encode() + packed(GREY, "u1", "<"))
+    head = "\n".join([*HEADS["a.nrrd"][0], "mood:=good", "", ""]).encode()
+    (tmp_path / "a.nrrd").write_bytes(head + packed(GREY, "u1", "<"))
     notes = " ".join(Recording(tmp_path / "a.nrrd").notes)
     for text in ("have no effect: mood", "1 mm is taken", "no position"):
         assert text in notes

@@ -1,6 +1,7 @@
 """Properties that every needle filter has."""
 
 import copy
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -140,6 +141,10 @@ def test_tip_agrees_with_a_kalman_filter_on_the_tip_alone(case):
     state = needle_filter.start(
         NeedleMeasurement(measurement(0.02, order).curve, covariance, 0.0, 1, 1.0)
     )
+    if isinstance(needle_filter, InteractingFilter):
+        # Its end advances, as it did for ever.
+        state = replace(state, weights=np.eye(9)[0])
+        needle_filter = replace(needle_filter, lasting=1e12)
     tip = np.r_[3 * order - 3 : 3 * order, 6 * order - 3 : 6 * order]
     x = np.concatenate([state.curve.tip, np.zeros(3)])
     P = state.covariance[np.ix_(tip, tip)]

@@ -5,6 +5,7 @@ import pytest
 from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from synthetic_volumes import Scene, entry_on_side
 
+from sonoservo.systems.signals.acquisition import acquired_from
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
@@ -221,11 +222,17 @@ def test_explanation_has_all_that_was_looked_at():
         explained.measurement.curve.control_points,
         run(volume, prediction).curve.control_points,
     )
-    assert attempt.region.entry is prediction.entry
+    np.testing.assert_array_equal(attempt.region.entry, prediction.entry)
     assert len(attempt.candidates) == len(attempt.weights) == len(attempt.inliers) > 100
     aside = attempt.candidates - ENTRY
     aside = np.linalg.norm(aside - np.outer(aside @ K, K), axis=1)
     assert np.median(aside[attempt.inliers]) < 1e-3 < np.median(aside[~attempt.inliers])
+    # The speed of sound is unknown by 2 %: so are all depths, alike.
+    depths = acquired_from(volume, attempt.measurement.curve.control_points)[:, 1]
+    deeper = np.kron(np.eye(2), volume.X_WP.rotation().matrix()[:, 1])
+    np.testing.assert_allclose(
+        deeper @ attempt.measurement.common @ deeper.T, np.outer(depths, depths) * 0.02**2
+    )
     profile, extent = attempt.profile, attempt.extent
     tip = profile.p_W[np.searchsorted(profile.a, extent.tip)]
     assert np.linalg.norm(tip - needle(0.03)[1]) < 1.5e-3
