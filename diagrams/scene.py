@@ -19,10 +19,11 @@ from sonoservo.systems.signals.sweep import Sweep, SweepGeometry, SweepMotion
 from sonoservo.systems.ultrasound.imaging import ImagingParameters, sweep_geometry
 from sonoservo.systems.ultrasound.simulation.acquisition import acquire_sweep
 from sonoservo.systems.ultrasound.simulation.reaction.deformation import Deformation
-from sonoservo.systems.ultrasound.simulation.reaction.needle_drag import Drag, advance_drag
 from sonoservo.systems.ultrasound.simulation.reaction.tissue_reaction import (
+    Drag,
     TissueReaction,
     TissueReactionParameters,
+    advance_drag,
     tissue_deformation,
 )
 from sonoservo.systems.ultrasound.simulation.rendering import SweepRenderer

@@ -22,6 +22,8 @@ from sonoservo.systems.ultrasound.imaging import ImagingParameters
 from sonoservo.systems.ultrasound.simulation import (
     AirPocketParameters,
     Ball,
+    ConnectionParameters,
+    MotorParameters,
     NeedleEchoParameters,
     ScannerParameters,
     SweepRenderer,
@@ -30,7 +32,6 @@ from sonoservo.systems.ultrasound.simulation import (
     load_needle,
     load_tissue,
 )
-from sonoservo.systems.ultrasound.simulation.errors import ConnectionParameters, MotorParameters
 from sonoservo.systems.ultrasound.simulation.reaction import Deformation, Indentation
 from sonoservo.systems.ultrasound.simulation.structures import (
     Bone,

@@ -26,7 +26,7 @@ from sonoservo.systems.control.controller_schedule import ControllerSchedule, Op
 from sonoservo.systems.display.console.controls import OperatorPanel, operator_controls
 from sonoservo.systems.evaluation.log import write_log
 from sonoservo.systems.files.writing import claim_folder, write_atomically
-from sonoservo.systems.needle.operator_hand import OperatorHand
+from sonoservo.systems.needle.hand import OperatorHand
 from sonoservo.systems.robot.operator_phantom_motion import OperatorPhantomMotion
 
 if TYPE_CHECKING:

@@ -9,10 +9,10 @@ from sonoservo.diagrams.scenario import Scenario
 from sonoservo.systems.files.typed_yaml import suggest
 from sonoservo.systems.needle.insertion_parameters import FeedParameters, InsertionParameters
 from sonoservo.systems.shape.cross_section import CrossSectionParameters
+from sonoservo.systems.shape.shape_filter import ShapeEstimatorParameters
 from sonoservo.systems.shape.shape_filters import SHAPE_FILTERS as OUR_SHAPE_FILTERS
 from sonoservo.systems.shape.shape_filters import ShapeFilterChoice
 from sonoservo.systems.shape.shape_least_squares import ShapeLeastSquaresParameters
-from sonoservo.systems.shape.shape_parameters import ShapeEstimatorParameters
 from sonoservo.systems.shape.shape_posterior import ShapeParticleFilterParameters
 from sonoservo.systems.signals.requirements import Positive, require, require_not_negative
 from sonoservo.systems.ultrasound.imaging import ImagingParameters

@@ -15,7 +15,15 @@ from sonoservo.diagrams.studies.fingerprint import made_by
 from sonoservo.diagrams.studies.processes import Processes
 from sonoservo.diagrams.studies.progress import StudyProgress
 from sonoservo.diagrams.studies.store import Store
-from sonoservo.diagrams.studies.study import Case, Executor, Finished, Outcome, Work
+from sonoservo.diagrams.studies.study import (
+    Case,
+    Executor,
+    Finished,
+    Outcome,
+    StudyOptions,
+    Work,
+)
+from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.writing import claim_folder, to_plain, write_json
 
 
@@ -86,6 +94,33 @@ def run_cases(
             finally:
                 running.close()
     return [outcome for outcome in outcomes.values() if outcome is not None]
+
+
+def run_study(
+    work: Work,
+    cases: Sequence[Case],
+    options: StudyOptions,
+    *,
+    folder: str = "cases",
+    logs: Path | None = None,
+) -> list[Outcome]:
+    """Run the cases of a study that its options ask for; see `run_cases`.
+
+    ``folder`` is the name of the outcomes' folder, ``logs`` that of the files of results.
+    """
+    chosen = [each for each in cases if each.experiment.startswith(options.only)]
+    if not chosen:
+        known = ", ".join(dict.fromkeys(each.experiment for each in cases))
+        raise ConfigurationError(f"--only: no experiment begins with {options.only!r}; {known}")
+    return run_cases(
+        work,
+        chosen,
+        options.folder / folder,
+        jobs=options.jobs,
+        cluster=options.cluster,
+        store=None if logs is None else Store(str(logs)),
+        console=options.console,
+    )
 
 
 class _Kept:

@@ -28,6 +28,7 @@ class StudyOptions:
     quick: bool = False  # a few short runs only, as a functional check
     seeds: int | None = None  # largest number of seeds of an experiment
     first_seed: Annotated[int, at_least(0)] = 0
+    only: str = ""  # beginning of the names of the experiments to run
     jobs: int = -1
     cluster: "Executor | None" = None
     console: Console | None = None

@@ -1,11 +1,20 @@
-"""Leaf system that pushes a needle, as a clinician's hand or a template does."""
+"""Leaf systems that push a needle, as a hand or a template does, or as a person says."""
 
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 from pydrake.common.value import Value
-from pydrake.systems.framework import Context, LeafSystem
+from pydrake.systems.framework import Context, LeafSystem, State
 
 from sonoservo.systems.needle.insertion import Insertion
+from sonoservo.systems.needle.insertion_parameters import Push
+from sonoservo.systems.signals.immutable import Immutable
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.ports import declare_output
+from sonoservo.systems.signals.requirements import Bounded, Positive
 
 
 class Hand(LeafSystem):
@@ -33,3 +42,154 @@ class Hand(LeafSystem):
 
     def _calc_needle(self, context: Context, output: Value) -> None:
         output.set_value(self._insertion.needle(context.get_time()))
+
+
+@dataclass(kw_only=True)
+class OperatorHandParameters(Bounded):
+    """Parameters of a hand that follows an operator's target.
+
+    Parameters
+    ----------
+    period
+        Sampling period of the target, in s.
+    speed
+        Highest speed of the needle along its axis, in m/s. A needle that is pushed in much faster
+        comes to rest before enough volumes show its motion, and is not detected.
+    turning_deg
+        Highest rate at which the needle is turned about its axis, in deg/s.
+    """
+
+    period: Positive = 1 / 16
+    speed: Positive = 0.012
+    turning_deg: Positive = 90.0
+
+
+@dataclass(frozen=True, eq=False)
+class OperatorInsertion(Immutable):
+    """Teleoperated insertion so far."""
+
+    insertion: Insertion
+    depth: float = 0.0  # once the hand has caught up, in m
+    turn_deg: float = 0.0
+
+
+class OperatorHand(LeafSystem):
+    """Pushes, withdraws and turns a needle to an operator's target.
+
+    .. pydrake_system::
+
+        name: OperatorHand
+        input_ports:
+        - needle_target
+        output_ports:
+        - needle
+
+    `needle_target` has four elements: the wanted inserted length in m (negative if outside), the
+    angle of the needle about its axis, and azimuth and dip of its direction, in rad. Azimuth and
+    dip are followed while the needle is outside or, if it is straight, withdrawn to 20 mm, because
+    a stiff needle cannot swing deep in tissue. `needle` is the inserted `Needle` in T.
+
+    The state is the insertion by all pushes so far. A `Hand` with this insertion repeats the
+    motion. The hand changes its speed smoothly (see `InsertionParameters`) and does not overshoot.
+
+    Parameters
+    ----------
+    make_insertion
+        Function that makes an insertion from successive pushes, the first of which starts at time
+        zero.
+    parameters
+        Limits of the hand's motion.
+    """
+
+    def __init__(
+        self,
+        *,
+        make_insertion: Callable[[list[Push]], Insertion],
+        parameters: OperatorHandParameters | None = None,
+    ) -> None:
+        super().__init__()
+        self._make_insertion = make_insertion
+        self._parameters = parameters or OperatorHandParameters()
+        insertion = make_insertion([])
+        start = OperatorInsertion(insertion, insertion.parameters.initial_depth or 0.0)
+        self.DeclareVectorInputPort("needle_target", 4)
+        self.DeclareAbstractState(Value[object](start))
+        declare_output(
+            self, "needle", Needle, self._calc_needle, {self.time_ticket(), self.xa_ticket()}
+        )
+        self.DeclarePeriodicUnrestrictedUpdateEvent(self._parameters.period, 0.0, self._update)
+
+    def insertion(self, context: Context) -> Insertion:
+        """Return the insertion by all pushes so far."""
+        return self._driven(context).insertion
+
+    def is_held(self, context: Context) -> bool:
+        """Return True if the needle cannot be aimed as wanted because it is in the tissue."""
+        insertion = self.insertion(context)
+        target = self.GetInputPort("needle_target").Eval(context)
+        return bool(new_aim(insertion, target)) and not _can_follow(
+            insertion, target, context.get_time()
+        )
+
+    def _driven(self, context: Context) -> OperatorInsertion:
+        driven: OperatorInsertion = context.get_abstract_state(0).get_value()
+        return driven
+
+    def _update(self, context: Context, state: State) -> None:
+        driven = self._driven(context)
+        target = self.GetInputPort("needle_target").Eval(context)
+        push = next_push(driven, target, context.get_time(), self._parameters)
+        state.get_mutable_abstract_state(0).set_value(
+            OperatorInsertion(
+                self._make_insertion(appended(driven.insertion.parameters.pushes, push)),
+                driven.depth + push.duration * push.speed,
+                driven.turn_deg + push.duration * push.turning_deg,
+            )
+        )
+
+    def _calc_needle(self, context: Context, output: Value) -> None:
+        output.set_value(self.insertion(context).needle(context.get_time()))
+
+
+def next_push(
+    driven: OperatorInsertion,
+    target: NDArray[np.float64],
+    time: float,
+    parameters: OperatorHandParameters,
+) -> Push:
+    """Return the hand's push in the next period."""
+    period = parameters.period
+    depth, turn_deg = float(target[0]), float(np.rad2deg(target[1]))
+    aim = new_aim(driven.insertion, target) if _can_follow(driven.insertion, target, time) else {}
+    return Push(
+        duration=period,
+        speed=_limited((depth - driven.depth) / period, parameters.speed),
+        turning_deg=_limited((turn_deg - driven.turn_deg) / period, parameters.turning_deg),
+        **aim,
+    )
+
+
+def new_aim(insertion: Insertion, target: NDArray[np.float64]) -> dict[str, Any]:
+    """Return by name those of azimuth and dip, in deg, that a target (see `next_push`) changes."""
+    wanted = np.round(np.rad2deg(target[2:]), 6).tolist()
+    aims = zip(("azimuth_deg", "dip_deg"), wanted, insertion.direction_deg, strict=True)
+    return {name: value for name, value, now in aims if value != round(now, 6)}
+
+
+def _can_follow(insertion: Insertion, target: NDArray[np.float64], time: float) -> bool:
+    """Return True if the needle may be aimed as a target (see `next_push`) wants it."""
+    azimuth_deg, dip_deg = np.rad2deg(target[2:]).tolist()
+    return insertion.can_aim(time, azimuth_deg, dip_deg)
+
+
+def appended(pushes: list[Push], push: Push) -> list[Push]:
+    """Return the pushes with one more, which prolongs the last one if nothing changes."""
+    if pushes and not push.aim:
+        last = pushes[-1]
+        if (last.speed, last.turning_deg) == (push.speed, push.turning_deg):
+            return [*pushes[:-1], replace(last, duration=last.duration + push.duration)]
+    return [*pushes, push]
+
+
+def _limited(value: float, most: float) -> float:
+    return min(max(value, -most), most)

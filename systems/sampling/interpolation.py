@@ -122,24 +122,11 @@ def sample_grid(
     spacing: ArrayLike,
     outside: float | None,
 ) -> NDArray[np.float32]:
-    """Sample an image on a regular grid at points.
+    """Return (...) values of an image in 2D or 3D at (..., 2) or (..., 3) points.
 
-    Parameters
-    ----------
-    array
-        (nx, ny) or (nx, ny, nz) image, at least 2 along each axis. Element [i, j, k] lies at
-        ``origin + spacing * (i, j, k)``.
-    points
-        (..., 2) or (..., 3) positions, in the unit of the origin and the spacing.
-    origin, spacing
-        (2,) or (3,) position of element [0, 0, 0], and distances between neighbouring elements.
-    outside
-        Value for points outside the grid and for points that are NaN. None gives a point outside
-        the grid the value of the nearest point on its edge, and a point that is NaN the value NaN.
-
-    Returns
-    -------
-    (...) values at the points.
+    Element [i, j, k] lies at ``origin + spacing * (i, j, k)``; there are two or more along each
+    axis. Points outside, and those that are NaN, have the value ``outside``; if it is None, those
+    outside have that of the nearest point on the edge, and NaN stays NaN.
     """
     points = np.asarray(points, dtype=float)
     values = np.empty(points.shape[:-1], np.float32)

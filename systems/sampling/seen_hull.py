@@ -32,12 +32,8 @@ def seen_hull(intensities: NDArray[Any]) -> NDArray[np.bool_]:
     That is the convex hull of what is not black: dark cysts, shadows and water lie in it. A probe's
     face bulges into the body, and leaves a dent in the hull. Where most of the hull echoes, what is
     dark before the first echo along Y, or beside the outermost echoes along X and Z, is therefore
-    not seen. Where little of it echoes, darkness tells nothing. Of a black image, all is seen.
-
-    Parameters
-    ----------
-    intensities
-        (nx, ny, nz) intensities; the sound travels along Y.
+    not seen. Where little of it echoes, darkness tells nothing. Of a black image, all is seen. The
+    sound travels along Y.
     """
     bright = intensities > 0
     rows = bright.any(axis=0)

@@ -3,12 +3,11 @@
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from sonoservo.systems.shape.shape_filter import ShapeFilter
+from sonoservo.systems.shape.shape_filter import ShapeEstimatorParameters, ShapeFilter
 from sonoservo.systems.shape.shape_least_squares import (
     ShapeLeastSquares,
     ShapeLeastSquaresParameters,
 )
-from sonoservo.systems.shape.shape_parameters import ShapeEstimatorParameters
 from sonoservo.systems.shape.shape_particle_filter import ShapeParticleFilter
 from sonoservo.systems.shape.shape_posterior import ShapeParticleFilterParameters
 

@@ -11,9 +11,8 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.systems.shape.measurement_noise import MeasurementNoise
-from sonoservo.systems.shape.shape_filter import ShapePaths
-from sonoservo.systems.shape.shape_parameters import ShapeEstimatorParameters
+from sonoservo.systems.shape.shape_filter import ShapeEstimatorParameters, ShapePaths
+from sonoservo.systems.shape.shape_posterior import MeasurementNoise
 from sonoservo.systems.signals.bicycle_paths import deflections
 from sonoservo.systems.signals.immutable import Immutable
 from sonoservo.systems.signals.needle_shape import bicycle_paths

@@ -1,16 +1,4 @@
-"""Posterior of a needle's path whose curvature wanders as a Gaussian process of depth.
-
-A measured cross-section at depth v is
-
-    (x, y) = o + (u(v) + sum_k a_k psi_k(v)) e_u + sum_k b_k psi_k(v) e_w + noise.
-
-Here o is the origin and u the bicycle model's deflection with radius R and first angle theta_0
-(Carriere 2016, eqs. 3 and 4). The vector e_u points in the direction phi of the plane, and e_w
-across it. The functions psi_k are the `WanderModes`. Their coefficients a_k and b_k are normal,
-with standard deviations alpha / R and beta / R. A particle consists of R, theta_0, phi, ln alpha
-and ln beta. Given these, origin and coefficients are integrated in closed form. The amplitudes
-alpha and beta are thus learnt together with the path.
-"""
+"""Prior and likelihood of a needle's shape, with wander, shift, and noise that is learned."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -20,24 +8,95 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.systems.shape.measurement_noise import MeasurementNoise
-from sonoservo.systems.shape.shape_parameters import (
+from sonoservo.systems.shape.shape_filter import (
     MAX_PARTICLES,
     ShapeEstimatorParameters,
 )
 from sonoservo.systems.signals.bicycle_paths import deflections
 from sonoservo.systems.signals.curvature_wander import WanderModes, wander_modes
 from sonoservo.systems.signals.immutable import Immutable
+from sonoservo.systems.signals.needle_shape import path_statistics
 from sonoservo.systems.signals.requirements import (
     Bounded,
     NotNegative,
     Positive,
     PositiveInt,
+    check_bounds,
     require,
     require_within,
 )
 
 Floats = NDArray[np.float64]
+
+
+@dataclass(kw_only=True)
+class MeasurementNoise:
+    """Noise of measured cross-sections, with a level that is learned from their scatter.
+
+    The variance has an inverse gamma distribution. Integration over it leaves a likelihood that
+    depends on the sum of squares only. Scattered slices therefore widen the uncertainty.
+
+    Parameters
+    ----------
+    std
+        Expected standard deviation of x and of y, in m.
+    confidence
+        Number of measurements to which the expectation is equivalent.
+    independence
+        Share of a slice's information that its neighbours do not already contain. It is below 1 if
+        errors are correlated from slice to slice, as they are through the speckle of overlapping
+        slices.
+    outlier
+        Distance of a measurement from its prediction, in standard deviations, beyond which its
+        weight falls in inverse proportion (Huber).
+    shift_std, shift_length
+        Standard deviation in m of a shift of the tissue along X and along Y, and the distance in m
+        along the path over which it persists; 0 for none.
+    """
+
+    std: Positive = 0.12e-3
+    confidence: Positive = 10.0
+    independence: float = 0.9
+    outlier: Positive = 3.0
+    shift_std: NotNegative = 0.0
+    shift_length: Positive = 6e-3
+
+    def __post_init__(self) -> None:
+        check_bounds(self)
+        allowed = "above 0 and at most 1"
+        require(0 < self.independence <= 1, "independence", self.independence, allowed)
+
+    def log_likelihood(self, squares: Floats, total: float) -> Floats:
+        """Return (n,) logarithms of the likelihood of squared residuals, up to a constant.
+
+        ``squares`` are the (n,) weighted sums in m^2 about each path's best origin, ``total`` that
+        of the weights of the cross-sections, each of which measures x and y.
+        """
+        degrees = self.confidence + max(2 * total - 2, 0.0)
+        return -0.5 * degrees * np.log(self._scale + squares)
+
+    def variance(self, squares: float, total: float) -> float:
+        """Return the learned variance of x and of y, in m^2; see `log_likelihood`."""
+        return (self._scale + squares) / (self.confidence + max(2 * total - 2, 0.0))
+
+    def weight(
+        self, point: Floats, paths: Floats, weights: Floats, origin_variance: float, variance: float
+    ) -> float:
+        """Return the weight of a measured (2,) x and y in I, in m; an unexpected one has less.
+
+        ``paths`` are the (n, 2) x and y there before the measurement, ``weights`` theirs; the
+        variances are those of x and of y, of each path's origin and of a measurement, in m^2.
+        """
+        mean, covariance = path_statistics(paths[:, np.newaxis], weights)
+        innovation = point - mean[0]
+        spread = covariance[0] + (origin_variance + variance) * np.eye(2)
+        distance = float(np.sqrt(innovation @ np.linalg.solve(spread, innovation)))
+        return self.independence * min(1.0, self.outlier / max(distance, 1e-9))
+
+    @property
+    def _scale(self) -> float:
+        return self.confidence * self.std**2
+
 
 _SHIFT_SHARE = 0.99
 """Share of the variance of the tissue's shift that its modes represent."""

@@ -7,6 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydrake.math import RigidTransform
 
 from sonoservo.systems.signals.immutable import Immutable, own
+from sonoservo.systems.signals.point_spread import PointSpread
 from sonoservo.systems.signals.requirements import require
 from sonoservo.systems.signals.sweep import SweepMotion
 
@@ -21,6 +22,9 @@ class RadioFrequencySweep(Immutable):
 
     motion: SweepMotion
     """Time and pose at which each frame was acquired."""
+
+    point_spread: PointSpread | None = None
+    """Resolution of the transducer; None if unknown."""
 
     def __post_init__(self) -> None:
         lines = own(np.asarray(self.lines, dtype=np.float32))

@@ -370,7 +370,7 @@ class InteractingFilter:
 
 def _beyond(axis: Floats, size: int) -> Floats:
     """Return the (3n,) displacements of control points for 1 m of the last along an axis."""
-    return np.kron(np.linspace(0, 1, size // 3), axis)
+    return np.asarray(np.kron(np.linspace(0, 1, size // 3), axis), dtype=np.float64)
 
 
 def _beyond_end(means: Floats, covariances: Floats) -> Floats:

@@ -30,17 +30,12 @@ class NeedleLocalizerParameters(Bounded):
         Area of the candidates across the needle, in m^2.
     slab
         Length of needle over which the candidates share a threshold, in m.
-    min_length, min_share
-        Smallest visible length of the needle, in m, and its smallest share of the predicted length
-        that lies in the field of view.
-    min_shaft
-        Visible length that suffices whatever its share, in m.
+    min_length
+        Smallest visible length of the needle, in m.
     search_reach
         Distance to search outwards along a line for its entry, in m.
     min_probability
         Smallest probability at which a line in the whole volume counts as a needle.
-    min_inlier_ratio
-        Smallest share of inliers among the candidates between entry and tip.
     min_evidence
         Smallest evidence along the needle, in dB m; see `NeedleExtent`.
     correlation_length
@@ -78,11 +73,8 @@ class NeedleLocalizerParameters(Bounded):
     cross_section: Positive = 4e-6
     slab: Positive = 2e-3
     min_length: Positive = 4e-3
-    min_share: Positive = 0.4
-    min_shaft: Positive = 8e-3
     search_reach: Positive = 40e-3
     min_probability: Positive = 0.5
-    min_inlier_ratio: Positive = 0.15
     min_evidence: Positive = 12e-3
     correlation_length: Positive = 2e-3
     tip_std: Positive = 0.25e-3

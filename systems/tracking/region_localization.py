@@ -132,12 +132,7 @@ def _extent(
         looked.update(extent=extent)
         if region.entry is None or not (extent.leaves and profile.seen[-1]):
             break
-    least = parameters.min_length
-    if region.entry is not None:
-        predicted = profile.seen & (profile.a >= ends[0]) & (profile.a <= ends[1])
-        share = parameters.min_share * parameters.tip.step * float(predicted.sum())
-        least = max(least, min(share, parameters.min_shaft))
-    if extent.end - extent.start < least:
+    if extent.end - extent.start < parameters.min_length:
         visible = 1e3 * max(extent.end - extent.start, 0.0)
         raise _AbsentError(SearchReason.HARDLY_SEEN(f" {visible:.1f} mm of the needle are visible"))
     return extent
@@ -181,8 +176,6 @@ def _judge(
 ) -> NeedleMeasurement:
     """Return the control points and their covariance, if the evidence is sufficient."""
     ratio = float(inliers / max(candidates, 1))
-    if ratio < parameters.min_inlier_ratio:
-        raise _AbsentError(SearchReason.HARDLY_SEEN(f" {100 * ratio:.0f} % of what is bright"))
     if extent.evidence < parameters.min_evidence:
         raise _AbsentError(SearchReason.NOTHING_ALONG(" the axis stands out enough"))
     start = extent.start

@@ -169,17 +169,14 @@ class TrackLifecycle:
         if distance <= self.gate:
             state = self.needle_filter.update(state, measurement, speed)
             return self._confirmed(state, measurement, probability, track, distance)
-        jumps = measurement.curve.control_points - state.curve.control_points
-        agrees = np.linalg.norm(jumps, axis=1).max() <= self.parameters.max_jump
-        if not agrees and track.rejected is not None:
+        if track.rejected is not None:
             # If two rejected measurements agree with each other, the prediction is wrong.
             before = self.needle_filter.start(track.rejected)
             before = self.needle_filter.predict(before, measurement.time)
-            agrees = innovation_distance(before, measurement) <= self.gate
-        if agrees:
-            state = self.needle_filter.start(measurement)
-            moved = replace(track, entry=None)
-            return self._confirmed(state, measurement, probability, moved, distance)
+            if innovation_distance(before, measurement) <= self.gate:
+                state = self.needle_filter.start(measurement)
+                moved = replace(track, entry=None)
+                return self._confirmed(state, measurement, probability, moved, distance)
         missed = replace(track, rejected=measurement, innovation=distance)
         off = f" {distance:.1f} standard deviations from the prediction"
         return self._miss(missed, time, speed, SearchReason.OFF_PREDICTION(off))

@@ -21,10 +21,6 @@ class TrackParameters:
         Probability of being a needle from which on a line is followed by filter and robot.
     gate
         Probability that a true measurement passes the gate on the innovation.
-    max_jump
-        Distance of every control point from its prediction up to which a measurement shows the same
-        needle although it fails the gate, in m. The needle was then moved as no model foresees, and
-        the filter starts anew.
     volumes_to_lose
         Number of successive volumes without the needle after which it is lost and the whole volume
         is searched.
@@ -48,7 +44,6 @@ class TrackParameters:
 
     act: Annotated[float, between(0.5, 1)] = 0.95
     gate: Positive = 0.9999
-    max_jump: Positive = 4e-3
     volumes_to_lose: int = 4
     volumes_to_follow: int = 3
     withdrawn_length: Positive = 6e-3

@@ -17,7 +17,7 @@ from .scan_conversion import make_grid as make_grid
 from .scan_conversion import sector_bounds as sector_bounds
 from .scan_converter import ScanConversionParameters as ScanConversionParameters
 from .scan_converter import ScanConverter as ScanConverter
-from .slice_conversion import SliceConversion as SliceConversion
+from .slice_converter import SliceConversion as SliceConversion
 from .slice_converter import SliceConverter as SliceConverter
 from .transducer import Transducer as Transducer
 from .transducer import load_transducer as load_transducer

@@ -59,17 +59,8 @@ class SweepSplitter:
     """Splits the frames of a probe that is swept back and forth into sweeps.
 
     The distance from the start of a sweep grows until the probe turns back. The sweep is complete
-    when the probe has come back by ``hysteresis``. Frames of a probe at rest form no sweep.
-
-    Parameters
-    ----------
-    hysteresis
-        Distance by which the probe must come back to end a sweep, in m. A sweep must be at least
-        this long.
-    frames
-        Number of frames of every sweep; by default, a sweep ends where the probe turns back.
-    max_frames
-        Maximum number of frames of a sweep; a longer one is split.
+    when the probe has come back by ``hysteresis``, in m, the least length of a sweep, or after
+    ``frames``, if given; it is split at ``max_frames``. Frames of a probe at rest form no sweep.
     """
 
     def __init__(

@@ -74,7 +74,8 @@ def detect_envelope(
         int(min(depth / geometry.sample_pitch, geometry.samples)) for depth in (near, far)
     )
     _detect_peaks(sweep.lines, grey, step, begin, end, table, np.uint32(_DISCARDED_BITS))
-    return Sweep(seal(grey), replace(sweep.motion, geometry=geometry), dynamic_range_db / 255)
+    motion = replace(sweep.motion, geometry=geometry)
+    return Sweep(seal(grey), motion, dynamic_range_db / 255, sweep.point_spread)
 
 
 def detected_geometry(geometry: SweepGeometry, step: int) -> SweepGeometry:

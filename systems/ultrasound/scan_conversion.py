@@ -184,19 +184,9 @@ class ScanConversion:
         )
 
     def convert(self, samples: NDArray[np.uint8], direction: int) -> NDArray[np.uint8]:
-        """Interpolate the samples of a probe at rest, trilinearly and rounded.
+        """Interpolate the (frames, lines, samples) of a probe at rest, trilinearly and rounded.
 
-        Parameters
-        ----------
-        samples
-            (frames, lines, samples) samples of the sweep.
-        direction
-            Direction of the motor: +1 towards +Z, -1 towards -Z.
-
-        Returns
-        -------
-        (nx, ny, nz) grey levels; zero outside the part of the sector that both motor directions
-        sweep.
+        The (nx, ny, nz) grey levels are zero where not both directions of the motor sweep.
         """
         volume = np.zeros(self.grid.shape, np.uint8)
         resample(
@@ -269,11 +259,9 @@ def _nodes(axis: NDArray[np.floating]) -> NDArray[np.float32]:
 
 
 def _relative_poses(motion: SweepMotion) -> NDArray[np.float64]:
-    """Return transforms from the probe's frame at the middle frame to that at fractions of frames.
+    """Return (n, 3, 4) transforms from the middle frame's pose to those at fractions of frames.
 
-    Returns
-    -------
-    (n, 3, 4) matrices, with the origins on the motor's axis; see `tabulate_shifts`.
+    Origins are on the motor's axis; see `tabulate_shifts`.
     """
     geometry = motion.geometry
     count = POSES_PER_FRAME * (geometry.frames - 1 + 2 * FRAMES_BEYOND) + 1

@@ -22,7 +22,7 @@ from sonoservo.systems.ultrasound.simulation.scanner_parameters import ScannerPa
 from sonoservo.systems.ultrasound.simulation.tissue import load_tissue
 from sonoservo.systems.ultrasound.transducer import Transducer
 
-SETTLED, MEASURED = 9.0, 8.0
+SETTLED, MEASURED = 9.0, 6.0
 """Time in s at which the kernels are loaded and the needle is in view, and duration in s."""
 NEEDLE = Needle(np.array([[-0.06, 0.01, -0.045], [0.02, 0.0, -0.045]]), 0.635e-3)
 DOWN = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, -0.004], [0, 0, 0, 1.0]])

@@ -24,7 +24,7 @@ from sonoservo.diagrams.experiments.following import FollowingExperiment
 PICTURE = Path("out/loop_cost.png")
 SETTLED = 9.0
 """Time in s at which the kernels are loaded and the needle is in view."""
-MEASURED = 8.0
+MEASURED = 6.0
 CALLBACKS = ("_calc", "_update", "_sample", "_look")
 DRAKE = "Drake and short callbacks"
 PARTS = {
@@ -156,7 +156,7 @@ def measured_in_a_process(threads):
 @pytest.mark.bench
 def test_loop_of_figure_5(benchmark):
     figures, leaves = benchmark.pedantic(measured_in_a_process, args=(None,), rounds=1)
-    assert figures["volumes"] > 20
+    assert figures["volumes"] > 15
     title = (
         f"fig. 5: {figures['simulated_per_wall_time']:.1f} x real time, "
         f"{figures['wall_ms_a_volume']:.0f} ms of wall and "

@@ -1,4 +1,4 @@
-"""The loop and its parts beside version 0.2.0, by turns, each in a process as a user starts it."""
+"""The loop and its parts beside version 0.2.0, each in a process as a user starts it."""
 
 import json
 import os
@@ -14,7 +14,6 @@ RELEASE = "ba88d58"
 """Commit of version 0.2.0."""
 FOLDER = Path("out/release_0.2.0")
 PROGRAM = Path(__file__).with_name("parts_of_a_loop.py")
-TURNS = 2
 NAMES = (
     "loop of fig. 5, wall",
     "loop of fig. 5, processor",
@@ -38,8 +37,8 @@ def measured(path):
 
 
 @pytest.fixture(scope="module")
-def by_turns():
-    """Best figures of this version and of the release."""
+def both():
+    """Figures of this version and of the release."""
     package = FOLDER / "sonoservo"
     if not package.exists():
         packed = subprocess.run(["git", "archive", RELEASE], capture_output=True, check=False)
@@ -47,17 +46,14 @@ def by_turns():
             pytest.skip("no history with version 0.2.0")
         with tarfile.open(fileobj=BytesIO(packed.stdout)) as archive:
             archive.extractall(package, filter="data")
-    turns = [[measured(None), measured(FOLDER)] for _ in range(TURNS)]
-    return [
-        {name: min(turn[version][name] for turn in turns) for name in NAMES} for version in (0, 1)
-    ]
+    return measured(None), measured(FOLDER)
 
 
 @pytest.mark.slow
 @pytest.mark.bench
 @pytest.mark.parametrize("name", NAMES)
-def test_beside_the_release(benchmark, by_turns, name):
-    ours, released = by_turns
+def test_beside_the_release(benchmark, both, name):
+    ours, released = both
     benchmark.pedantic(lambda: None, rounds=1)
     assert ours[name] > 0
     benchmark.extra_info.update(

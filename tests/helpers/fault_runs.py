@@ -1,10 +1,5 @@
-"""Faults in the loop of station, controller and guard on the default contact, without images.
+"""Faults in the loop of station, controller and guard on the default contact, without images."""
 
-`python tests/helpers/fault_runs.py 300 [first seed]` draws faults, runs them and prints the table.
-"""
-
-import sys
-from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 
@@ -459,18 +454,3 @@ def fault_table(results: Iterable[FaultResult]) -> str:
             f"{'; '.join(each.reasons) or '-'}{f' ({each.noticed})' if each.noticed else ''}"
         )
     return "\n".join(lines)
-
-
-if __name__ == "__main__":
-    count, first = int(sys.argv[1]), int(sys.argv[2]) if len(sys.argv) > 2 else 0
-    kept = []
-    print(fault_table([]))
-    for seed in range(first, first + count):
-        kept += run_faults([draw_case(seed)])
-        print(fault_table(kept[-1:]).splitlines()[1], flush=True)
-    print(Counter(fault for each in kept for fault in each.faults) or "all held")
-    peaks = np.array([each.peak for each in kept])
-    print(f"peak: median {np.median(peaks):.1f}, 95 % {np.percentile(peaks, 95):.1f}, "
-          f"highest {peaks.max():.1f} N; longest above 15 N "
-          f"{max(each.longest_above for each in kept):.2f} s; back to work "
-          f"{sum(each.recovered for each in kept)} of {len(kept)}")  # fmt: skip

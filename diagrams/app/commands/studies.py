@@ -140,6 +140,9 @@ def reproduce_command(
         int | None, typer.Option(help="Largest number of seeds of an experiment.")
     ] = None,
     first_seed: Annotated[int, typer.Option(help="First seed.")] = 0,
+    only: Annotated[
+        str, typer.Option(help="Run the experiments only whose names begin so, such as open.")
+    ] = "",
     keep: Annotated[
         bool, typer.Option("--keep", help="Keep the results in the repository, with its tables.")
     ] = False,
@@ -153,8 +156,10 @@ def reproduce_command(
     papers = PAPERS if paper == ALL else (paper,)
     for each in papers:
         require_paper(each)
-    if keep and (quick or first_seed):
-        raise ConfigurationError("--keep: no results of a quick study or of other seeds are kept")
+    if keep and (quick or first_seed or only):
+        raise ConfigurationError(
+            "--keep: no results of a quick study, of other seeds or of a part are kept"
+        )
     with console.status(f"Preparing to reproduce {paper} ..."):  # seconds, where files are cold
         from sonoservo.diagrams.app.terminal import study_table
         from sonoservo.diagrams.papers.results import keep_results
@@ -164,6 +169,7 @@ def reproduce_command(
     command = ["sonoservo", "reproduce", paper, *(["--quick"] if quick else [])]
     command += [] if seeds is None else ["--seeds", str(seeds)]
     command += ["--first-seed", str(first_seed)] if first_seed else []
+    command += ["--only", only] if only else []
     command += [] if results.out is None else ["--out", str(results.out)]
     try:
         options = StudyOptions(
@@ -171,6 +177,7 @@ def reproduce_command(
             quick=quick,
             seeds=seeds,
             first_seed=first_seed,
+            only=only,
             jobs=workers.jobs,
             console=console,
         )

@@ -1,6 +1,7 @@
 """Report of the reproduction of Carriere 2016: rows with targets, figures and notes."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -17,8 +18,9 @@ from sonoservo.diagrams.papers.carriere2016.plots import (
 )
 from sonoservo.diagrams.papers.carriere2016.protocols import PROTOCOLS, SETS, SWEEP_SEEDS, SWEPT
 from sonoservo.diagrams.papers.carriere2016.runs import AS_PUBLISHED, BEVEL_MARK_DEG, EXACT, TAUGHT
+from sonoservo.diagrams.studies.run_group import Value
 from sonoservo.diagrams.studies.study import Outcome
-from sonoservo.diagrams.studies.study_report import Study, StudyFigure, StudyRow, can_be_judged
+from sonoservo.diagrams.studies.study_report import Study, StudyFigure, StudyRow
 from sonoservo.systems.evaluation.intervals import proportion_interval, run_interval
 
 NAMES = {
@@ -185,24 +187,40 @@ PAPER: dict[str, dict[str, float]] = {  # Tables I and II
 _PEAK = 9.5
 """Longest computing time of a slice in ms, section V."""
 
-_COVERED = {
-    "particle_filter": "default wander",
+OURS, LEAST_SQUARES = "particle_filter", "least_squares"
+
+_STATED = {
+    OURS: "default wander",
     TAUGHT: "wander learnt from earlier needles",
-    "least_squares": "least squares, constant curvature",
+    LEAST_SQUARES: "least squares, constant curvature",
 }
+"""What the error that a method states rests on."""
+
+_PARTS = {"image": "finding the cross-section", "estimate": "particle filter", "total": "both"}
 
 _ABLATED = {"published": "our cross-sections", EXACT: "exact cross-sections"}
 """Input of the printed filter without the printed search for cross-sections."""
 
 
-class _Set:
-    """Runs of one experiment."""
+class _Needles:
+    """Needles of one experiment, and rows made of them; a failed run is a needle not followed."""
 
     def __init__(self, name: str, outcomes: Sequence[Outcome]) -> None:
         self.name = name
         self.results = [each.result if each else {"methods": {}} for each in outcomes]
+        self.rows: list[StudyRow] = []
 
-    def values(self, method: str, key: str, worst: bool = True) -> Floats:
+    def row(
+        self, quantity: str, unit: str, ours: Value, published: Value | None = None, **more: Any
+    ) -> None:
+        """Add a row with a figure of our method, or of the published one, or of both."""
+        self.rows.append(StudyRow.of(self.name, quantity, unit, ours, published, **more))
+
+    def has(self, method: str) -> bool:
+        """Return True if any needle was run with a method."""
+        return any(method in result["methods"] for result in self.results)
+
+    def column(self, method: str, key: str, worst: bool = True) -> Floats:
         """Return a figure of every needle; without a prediction, the worst of the others."""
         figures = [result["methods"].get(method, {}) for result in self.results]
         values = np.array([each.get(key, np.nan) for each in figures], dtype=float)
@@ -211,81 +229,111 @@ class _Set:
             values[without] = np.nanmax(values)
         return values
 
-    def has(self, method: str) -> bool:
-        """Return True if any needle was run with a method."""
-        return any(method in result["methods"] for result in self.results)
+    def mean(self, method: str, key: str) -> Value:
+        """Return the mean of an error, against the truth and the measured path."""
+        true, measured = (self.column(method, key.format(each)) for each in ("true", "measured"))
+        interval = run_interval(true[np.isfinite(true)])
+        return Value(_figure(np.mean, true), _figure(np.mean, measured), *interval)
 
-    def row(self, quantity: str, unit: str, **values: Any) -> StudyRow:
-        return StudyRow(experiment=self.name, quantity=quantity, unit=unit, **values)
+    def std(self, method: str, key: str) -> Value:
+        """Return the standard deviation of an error, against the truth and the measured path."""
+        columns = (self.column(method, key.format(each)) for each in ("true", "measured"))
+        true, measured = (_figure(partial(np.std, ddof=1), each, least=2) for each in columns)
+        return Value(true, measured)
 
-    def mean_row(
-        self, quantity: str, unit: str, key: str, method: str = "particle_filter", **more: Any
-    ) -> StudyRow:
-        """Return the row of a mean error, against the truth and the measured path."""
-        ours, published = (self._means(each, key) for each in (method, AS_PUBLISHED))
-        return self.row(
-            quantity, unit, **ours, **{f"published_{k}": v for k, v in published.items()}, **more
-        )
+    def tracking(self, method: str, *path: str, missing: Any = None) -> Floats:
+        """Return a figure of every needle of a method's tracker."""
+        values = []
+        for result in self.results:
+            node = result["methods"].get(method, {}).get("tracking", {})
+            for key in path:
+                node = (node or {}).get(key)
+            values.append(missing if node is None else node)
+        return np.array(values, dtype=float)
 
-    def _means(self, method: str, key: str) -> dict[str, float | None]:
-        true = self.values(method, key.format("true"))
-        low, high = run_interval(true[np.isfinite(true)])
-        return {
-            "true": _mean(true),
-            "estimated": _mean(self.values(method, key.format("measured"))),
-            "low": low,
-            "high": high,
-        }
+    def compute(self, part: str, which: str) -> Floats:
+        """Return a computing time of every needle that was run, in ms."""
+        times = [each["compute_ms"] for each in self.results if "compute_ms" in each]
+        return np.array([each[part][which] for each in times], dtype=float)
 
-    def share_row(
-        self, quantity: str, ours: Floats | None, published: Floats | None = None, **more: Any
-    ) -> StudyRow:
-        """Return the row of a share of needles in %, given 1, 0 or NaN for each.
 
-        Its target is left out if so few needles can never meet it, or never miss it.
-        """
-        values: dict[str, Any] = {}
-        known = 0 if ours is None else int(np.isfinite(ours).sum())
-        if "target" in more and not can_be_judged(
-            known, more["target"], more.get("wanted", "at most")
-        ):
-            del more["target"]
-        for prefix, each in (("", ours), ("published_", published)):
-            if each is not None and np.isfinite(each).any():
-                judged = each[np.isfinite(each)]
-                low, high = proportion_interval(int(judged.sum()), len(judged))
-                values |= {
-                    f"{prefix}true": 100 * float(judged.mean()),
-                    f"{prefix}low": 100 * low,
-                    f"{prefix}high": 100 * high,
-                }
-        return self.row(quantity, "%", **values, **more)
+def _figure(statistic: Callable[[Floats], Any], values: Floats, least: int = 1) -> float | None:
+    """Return a statistic of the finite values; None of fewer than some."""
+    known = values[np.isfinite(values)]
+    return float(statistic(known)) if len(known) >= least else None
+
+
+def _share(flags: Floats) -> Value:
+    """Return the share in % of needles, given 1, 0 or NaN for each."""
+    judged = flags[np.isfinite(flags)]
+    if not len(judged):
+        return Value()
+    low, high = proportion_interval(int(judged.sum()), len(judged))
+    share = 100 * float(judged.mean())
+    return Value(share, None, 100 * low, 100 * high, len(judged))
 
 
 def set_rows(name: str, outcomes: Sequence[Outcome]) -> list[StudyRow]:
     """Return the rows of one experiment; a failed run counts as a needle not followed."""
-    runs, paper = _Set(name, outcomes), PAPER.get(name, {})
-    published = _tracking(runs, AS_PUBLISHED)
-    ours = _tracking(runs, "particle_filter")
-    rows = [
-        runs.row(
-            "cross-section's error, median over needles", "mm",
-            true=_median(ours["error"]), published_true=_median(published["error"]),
-            **({"target": 0.2} if name in SETS else {}),
-        )
-    ]  # fmt: skip
-    if name in SETS:
-        rows += [
-            runs.share_row("needles followed to the end", ours["to_the_end"],
-                           published["to_the_end"], target=95.0, wanted="at least"),
-            runs.share_row("measured tips that are missing", ours["missing"],
-                           published["missing"]),
-        ]  # fmt: skip
-    rows += _error_rows(runs, paper)
-    rows += _coverage_rows(runs)
-    if name in SETS:
-        rows += _time_rows(runs, paper)
-    return rows
+    needles, paper, printed = _Needles(name, outcomes), PAPER.get(name, {}), name in SETS
+
+    def both(quantity: str, unit: str, figure: Callable[[str], Value], **more: Any) -> None:
+        needles.row(quantity, unit, figure(OURS), figure(AS_PUBLISHED), **more)
+
+    def middle(method: str) -> Value:
+        return Value(_figure(np.median, needles.tracking(method, "error_mm", "median")))
+
+    both("cross-section's error, median over needles", "mm", middle,
+         target=0.2 if printed else None)  # fmt: skip
+    if printed:
+        both("needles followed to the end", "%",
+             lambda m: _share(needles.tracking(m, "to_the_end", missing=0)),
+             target=95.0, wanted="at least")  # fmt: skip
+        both("measured tips that are missing", "%",
+             lambda m: _share(1 - needles.tracking(m, "tip_found", missing=0)))  # fmt: skip
+    for quantity, unit in (("tip", "mm"), ("shape", "mm²")):
+        key = f"{quantity}_error_{{}}_{unit.replace('²', '2')}"
+        known = paper.get(quantity)
+        both(f"{quantity} error, mean", unit, partial(needles.mean, key=key),
+             paper=known, target=known)  # fmt: skip
+        both(f"{quantity} error, standard deviation", unit, partial(needles.std, key=key),
+             paper=paper.get(f"{quantity}_std"))  # fmt: skip
+        for method in (each for each in (TAUGHT, LEAST_SQUARES) if needles.has(each)):
+            needles.row(f"{quantity} error, {_STATED[method]}, mean", unit,
+                        needles.mean(method, key))  # fmt: skip
+    both("largest distance from the shape, in and out of the plane, mean", "mm",
+         lambda m: needles.mean(m, "max_error_{}_mm"))  # fmt: skip
+    for method, label in _ABLATED.items():
+        needles.row(f"tip error, filter as printed, {label}, mean", "mm", Value(),
+                    needles.mean(method, "tip_error_{}_mm"))  # fmt: skip
+    both("tip error, root mean square", "mm",
+         lambda m: Value(_figure(_rms, needles.column(m, "tip_error_true_mm"))))  # fmt: skip
+    least = np.array([each.get("bound", {}).get("tip_mm", np.nan) for each in needles.results])
+    needles.row("tip error, bound of the root mean square", "mm", Value(_figure(_rms, least)))
+    judged = TAUGHT if needles.has(TAUGHT) else OURS
+    for key in ("tip", "shape"):
+        for method in (each for each in _STATED if needles.has(each)):
+            shares = [_share(needles.column(each, f"covers_{key}", worst=False))
+                      for each in (method, AS_PUBLISHED)]  # fmt: skip
+            stated = f"{key} within its 95 %, {_STATED[method]}"
+            if (key, method) != ("tip", judged):
+                needles.row(stated, "%", shares[0], shares[1] if method == OURS else None)
+                continue
+            shares = shares if method == OURS else shares[:1]
+            needles.row(stated, "%", *shares, target=90.0, wanted="at least")
+            needles.row(f"{stated}, not too wide", "%", *shares, target=99.0)
+    if printed:
+        for part, label in _PARTS.items():
+            median = Value(None, _figure(np.median, needles.compute(part, "median")))
+            needles.row(f"{label}, median", "ms", median, paper=paper[part],
+                        target=2.0 if part == "total" else None)  # fmt: skip
+        worst = Value(None, _figure(np.max, needles.compute("total", "max")))
+        needles.row("both, worst", "ms", worst, paper=_PEAK, target=_PEAK)
+    return needles.rows
+
+
+def _rms(values: Floats) -> float:
+    return float(np.sqrt(np.mean(values**2)))
 
 
 def sweep_rows(outcomes: Sequence[Outcome]) -> list[StudyRow]:
@@ -310,116 +358,3 @@ def sweep_rows(outcomes: Sequence[Outcome]) -> list[StudyRow]:
                     )
                 )
     return rows
-
-
-def _tracking(runs: _Set, method: str) -> dict[str, Floats]:
-    """Return the median error in mm, and flags of every needle, of a method's tracker."""
-    blocks = [each["methods"].get(method, {}).get("tracking", {}) for each in runs.results]
-    error = [each.get("error_mm", {}).get("median") for each in blocks]
-    return {
-        "error": np.array([np.nan if each is None else each for each in error]),
-        "to_the_end": np.array([float(each.get("to_the_end", False)) for each in blocks]),
-        "missing": np.array([1.0 - float(each.get("tip_found", False)) for each in blocks]),
-    }
-
-
-def _error_rows(runs: _Set, paper: dict[str, float]) -> list[StudyRow]:
-    rows = []
-    for quantity, unit in (("tip", "mm"), ("shape", "mm²")):
-        key = f"{quantity}_error_{{}}_{unit.replace('²', '2')}"
-        rows.append(
-            runs.mean_row(
-                f"{quantity} error, mean",
-                unit,
-                key,
-                paper=paper.get(quantity),
-                target=paper.get(quantity),
-            )
-        )
-        spread = {
-            f"{prefix}{side}": _std(runs.values(method, key.format(against)))
-            for prefix, method in (("", "particle_filter"), ("published_", AS_PUBLISHED))
-            for side, against in (("true", "true"), ("estimated", "measured"))
-        }
-        rows.append(
-            runs.row(f"{quantity} error, standard deviation", unit,
-                     paper=paper.get(f"{quantity}_std"), **spread)
-        )  # fmt: skip
-        for method, label in _COVERED.items():
-            if method != "particle_filter" and runs.has(method):
-                means = runs._means(method, key)
-                rows.append(runs.row(f"{quantity} error, {label}, mean", unit, **means))
-    rows.append(
-        runs.mean_row(
-            "largest distance from the shape, in and out of the plane, mean", "mm",
-            "max_error_{}_mm",
-        )
-    )  # fmt: skip
-    for method, label in _ABLATED.items():
-        means = runs._means(method, "tip_error_{}_mm")
-        means = {f"published_{name}": each for name, each in means.items()}
-        rows.append(runs.row(f"tip error, filter as printed, {label}, mean", "mm", **means))
-    least = np.array([each.get("bound", {}).get("tip_mm", np.nan) for each in runs.results])
-    rows.append(
-        runs.row(
-            "tip error, root mean square", "mm",
-            true=_rms(runs.values("particle_filter", "tip_error_true_mm")),
-            published_true=_rms(runs.values(AS_PUBLISHED, "tip_error_true_mm")),
-        )
-    )  # fmt: skip
-    rows.append(runs.row("tip error, bound of the root mean square", "mm", true=_rms(least)))
-    return rows
-
-
-def _coverage_rows(runs: _Set) -> list[StudyRow]:
-    """Return the shares of needles whose tip, or shape, is within what is stated."""
-    rows = []
-    for key in ("tip", "shape"):
-        published = runs.values(AS_PUBLISHED, f"covers_{key}", worst=False)
-        for method, label in _COVERED.items():
-            if not runs.has(method):
-                continue
-            covered = runs.values(method, f"covers_{key}", worst=False)
-            quantity = f"{key} within its 95 %, {label}"
-            both = published if method == "particle_filter" else None
-            judged = key == "tip" and method == (TAUGHT if runs.has(TAUGHT) else "particle_filter")
-            if not judged:
-                rows.append(runs.share_row(quantity, covered, both))
-                continue
-            rows.append(runs.share_row(quantity, covered, both, target=90.0, wanted="at least"))
-            rows.append(runs.share_row(f"{quantity}, not too wide", covered, both, target=99.0))
-    return rows
-
-
-def _time_rows(runs: _Set, paper: dict[str, float]) -> list[StudyRow]:
-    compute = [each["compute_ms"] for each in runs.results if "compute_ms" in each]
-    rows = []
-    for part, label in (("image", "finding the cross-section"), ("estimate", "particle filter"),
-                        ("total", "both")):  # fmt: skip
-        median = _median(np.array([each[part]["median"] for each in compute], dtype=float))
-        target = {"target": 2.0} if part == "total" else {}
-        rows.append(runs.row(f"{label}, median", "ms", paper=paper[part], estimated=median,
-                             **target))  # fmt: skip
-    worst = max((each["total"]["max"] for each in compute), default=None)
-    rows.append(runs.row("both, worst", "ms", paper=_PEAK, estimated=worst, target=_PEAK))
-    return rows
-
-
-def _mean(values: Floats) -> float | None:
-    known = values[np.isfinite(values)]
-    return float(known.mean()) if len(known) else None
-
-
-def _median(values: Floats) -> float | None:
-    known = values[np.isfinite(values)]
-    return float(np.median(known)) if len(known) else None
-
-
-def _std(values: Floats) -> float | None:
-    known = values[np.isfinite(values)]
-    return float(known.std(ddof=1)) if len(known) > 1 else None
-
-
-def _rms(values: Floats) -> float | None:
-    known = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(known**2))) if len(known) else None

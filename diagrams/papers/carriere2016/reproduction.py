@@ -7,7 +7,7 @@ Whole needles in the same tissue, which are not reported, first teach our partic
 the curvature wanders.
 """
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
 from sonoservo.diagrams.papers.carriere2016.protocols import (
@@ -20,7 +20,7 @@ from sonoservo.diagrams.papers.carriere2016.protocols import (
 )
 from sonoservo.diagrams.papers.carriere2016.report import report
 from sonoservo.diagrams.papers.carriere2016.runs import UNTAUGHT, run_needle, teach
-from sonoservo.diagrams.studies.runs import run_cases
+from sonoservo.diagrams.studies.runs import run_study
 from sonoservo.diagrams.studies.study import Case, Outcome, StudyOptions
 from sonoservo.diagrams.studies.study_report import Study
 from sonoservo.systems.shape.shape_posterior import WanderParameters, combined_wander
@@ -40,14 +40,7 @@ def reproduce(options: StudyOptions) -> Study:
         for number, seed in enumerate(options.seed_range(protocol.seeds, protocol.quick)):
             more = {"sweeps": name == SWEPT and number < SWEEP_SEEDS, "keep": number == 0}
             cases.append(Case(name, seed, {**settings, **more}))
-    outcomes = run_cases(
-        run_needle,
-        cases,
-        options.folder / "runs",
-        jobs=options.jobs,
-        cluster=options.cluster,
-        console=options.console,
-    )
+    outcomes = run_study(run_needle, cases, options)
     return report(outcomes, pictured=True)
 
 
@@ -60,14 +53,7 @@ def _lessons(options: StudyOptions) -> dict[str, dict[str, Any]]:
         for kind, changes in LESSONS.items()
         for seed in seeds
     ]
-    outcomes = run_cases(
-        teach,
-        cases,
-        options.folder / "lessons",
-        jobs=options.jobs,
-        cluster=options.cluster,
-        console=options.console,
-    )
+    outcomes = run_study(teach, cases, replace(options, only=""), folder="lessons")
 
     def learnt(kind: str) -> list[WanderParameters]:
         mine: list[Outcome] = [each for each in outcomes if each and each.case.experiment == kind]

@@ -1,6 +1,7 @@
 """Report of the reproduction of Chatelain 2013: rows beside the paper's figures and the targets."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -10,17 +11,20 @@ import numpy as np
 from sonoservo.diagrams.papers.chatelain2013.plots import study_figures
 from sonoservo.diagrams.studies.following.analysis import AS_PUBLISHED, Run, quantile
 from sonoservo.diagrams.studies.following.method_report import (
+    ERRORS,
     Comparison,
     MethodRuns,
-    add_error_rows,
-    add_false_start_rows,
-    add_reliability_rows,
-    add_rest_rows,
+    Quantity,
+    at_rest,
+    converged,
+    errors,
+    false_starts,
+    reliability,
+    summed,
 )
-from sonoservo.diagrams.studies.run_group import Value
+from sonoservo.diagrams.studies.run_group import Value, pooled, quantile_of
 from sonoservo.diagrams.studies.study import Outcome
 from sonoservo.diagrams.studies.study_report import Study
-from sonoservo.systems.evaluation.intervals import run_interval
 from sonoservo.systems.ultrasound.imaging import sweep_geometry
 from sonoservo.systems.ultrasound.transducer import load_transducer
 
@@ -39,19 +43,19 @@ NOTES = (
     "Where the paper is silent, the choice was made with figs. 4 to 6 on seeds from 100 on, or is "
     "that of our method. Detection: 5 mm3 of candidates, tau (27 mm)^2, delta 7 mm; the faces "
     "are those of the swept sector (PublishedDetectionParameters). Localization: 400 mm3 of "
-    "candidates in a region of 10 mm around the prediction, 20 mm around a detected entry, alpha_0 "
-    "35 deg, "
-    "tracking from 20 mm on; discarded draws do not count; the needle ends 9 dB above its "
-    "surroundings, after gaps of 6 mm at most (PublishedLocalizationParameters). Filter: R and Q "
-    "are the same for all control points. A track ends below 10 mm or after 10 volumes without a "
-    "measurement (PublishedLifecycle). lambda is 0.8/s (FollowingScenario.as_published).",
+    "candidates in a region of 20 mm around the prediction, or around a detected entry, alpha_0 "
+    "35 deg; a needle starts with 20 mm and goes on with half of that; discarded "
+    "draws do not count; the needle ends 9 dB above its surroundings, after gaps of 6 mm at most "
+    "(PublishedLocalizationParameters). Filter: R and Q are the same for all control points. A "
+    "track ends after 10 volumes without a measurement (PublishedLifecycle). lambda is 0.8/s "
+    "(FollowingScenario.as_published).",
     "Sweeps to and fro differ by more than a needle of 2.5 mm/s changes between them. Between "
     "sweeps of one direction, 5 mm3 spread by 24, 13 and 1 mm with a needle of 2 to 25 mm (medians "
     "of fig. 4, seeds 100 and 101, and fig. 5, seed 101), and by no less than 34 mm without one. "
     "1 to 2 mm3 lie close together without a needle, too; 20 mm3 spread as far with a needle of "
     "2.5 mm/s as without.",
     "Open: the published method with other values of what the paper leaves open; those of alpha_0 "
-    "in fig. 6, the others in fig. 5.",
+    "and of the margin in fig. 6, the others in fig. 5.",
     "Errors are those of the estimate after each volume, at the time for which it holds, over all "
     "volumes of all runs with at least 20 mm of the needle in the image. A volume without an "
     "estimate counts as an infinite error, and a failed run as one more run of such volumes. "
@@ -83,200 +87,58 @@ def report(outcomes: Sequence[Outcome], logs: Path | None = None) -> Study:
     names = dict.fromkeys(each.case.experiment.removesuffix(AS_PUBLISHED) for each in outcomes)
     ablations = [each.removeprefix(_ABLATION) for each in names if each.startswith(_ABLATION)]
     groups = {name: Comparison(outcomes, name, logs) for name in names}
-    for name, group in groups.items():
-        if name == "fig5":
-            _fig5(group, groups.get("fig5, no feed-forward"))
-        elif name in _ROWS:
-            _ROWS[name](group)
-        elif name.startswith("no needle"):
-            _no_needle(group)
-        elif name.startswith("settings"):
-            _settings(group)
-        elif name.startswith("open"):
-            _open_value(group)
-        elif name.startswith(_ABLATION):
-            _ablation(group)
-    runs = {name: group.runs for name, group in groups.items()}
+    rows = [row for group in groups.values() for row in group.rows(_quantities(group, groups))]
+    runs = {name: group.ours.runs for name, group in groups.items()}
     runs |= {name + AS_PUBLISHED: group.published.runs for name, group in groups.items()}
     return Study(
         paper="chatelain2013",
         title=TITLE,
-        rows=[row for group in groups.values() for row in group.rows],
+        rows=rows,
         outcomes=outcomes,
         figures=study_figures(runs, ablations) if logs else (),
-        compute_ms=_compute_ms(groups["fig4"].runs) if "fig4" in groups else {},
+        compute_ms=_compute_ms(runs["fig4"]) if "fig4" in groups else {},
         notes=NOTES,
     )
-
-
-def _fig4(group: Comparison) -> None:
-    _computing(group)
-    for k, which in enumerate(("first", "second")):
-        for what, q in (("median", 0.5), ("largest", 1.0)):
-            for i, where in enumerate(("image", "tissue")):
-                group.row(
-                    f"in the {where} when found within 10 mm, {which} insertion, {what}",
-                    "mm",
-                    partial(_found, insertion=k, where=i, q=q),
-                    target=15 if (where, what) == ("image", "largest") else None,
-                )
-    group.errors("tip", "tip error", "mm", _MM, median=0.7, p95=1.5)
-    group.errors("axis", "axis error", "deg", _DEG, median=0.7, p95=1.5)
-    add_reliability_rows(group, target=0)
-
-
-def _computing(group: Comparison) -> None:
-    """Add the rows of the tracker's computing time beside the period of the acquisition."""
-    for what, q, target in (("median", 0.5, 10), ("99 %", 0.99, 175)):
-        group.row(
-            f"tracking a volume, {what}",
-            "ms",
-            partial(MethodRuns.error, name="track_time", q=q, factor=_MM),
-            paper=175,
-            target=target,
-        )
 
 
 def _found(method: MethodRuns, insertion: int, where: int, q: float) -> Value:
     """Return a quantile of the lengths in the image (0) or in the tissue (1) when it was found."""
     found = [run.found for run in method.runs]
     lengths = [_MM * each[insertion][where] for each in found if len(each) > insertion]
-    lengths += method.failed * [np.inf]
-    if not lengths:
-        return Value()
-
-    def figure(values: Any) -> float:
-        return float(np.quantile(values, q, method="inverted_cdf"))
-
-    low, high = run_interval([np.array([each]) for each in lengths], figure)
-    return Value(figure(lengths), low=low, high=high)
+    return pooled([np.array([each]) for each in [*lengths, *method.failed * [np.inf]]],
+                  quantile_of(q))  # fmt: skip
 
 
-_AT_REST = ((1.10, 0.6), (0.23, 0.2), (0.97, 0.6))
-"""Paper's figure and target of X and Z in mm and Theta in deg at rest."""
-
-
-def _fig5(group: Comparison, eq_25: Comparison | None) -> None:
-    add_rest_rows(group, _AT_REST, share=100)
-
-    def lagging(method: MethodRuns) -> Value:
-        return method.mean(lambda run: _MM * run.lag)
-
-    group.row("lag in X while the hand moves at 5 mm/s", "mm", lagging)
-    if eq_25:
-        without, ours = lagging(eq_25.ours).true, lagging(group.ours).true
-        ratio = without / ours if without and ours else None
-        group.row("lag without feed-forward over that", "", lambda m: _only(m, group, ratio),
-                  target=4, wanted="at least")  # fmt: skip
-    _force(group, 0.05)
-    add_error_rows(group)
-    add_reliability_rows(group)
-
-
-def _only(method: MethodRuns, group: Comparison, value: float | None) -> Value:
-    """Return a figure that our method alone has."""
-    return Value(value) if method is group.ours else Value()
-
-
-def _force(group: Comparison, target: float | None = None) -> None:
-    group.summed("contact force, mean", "N", "force", "mean_n", paper=2.0)
-    group.row(
-        "contact force, RMS error, worst run",
-        "N",
-        partial(_worst, key="rms_error_n"),
-        target=target,
-    )
-
-
-def _worst(method: MethodRuns, key: str) -> Value:
+def _worst(key: str) -> Callable[[MethodRuns], Value]:
     """Return the largest of a figure of the force over all runs."""
-    return method.largest(lambda run: run.figure("force", key))
+    return lambda method: method.largest(lambda run: run.figure("force", key))
 
 
-def _fig6(group: Comparison) -> None:
-    _recovery(group, share=96, median=3.0)
-    for quantity, unit, key, target in (
-        ("contact lost, worst run", "s", "contact_lost_s", 0.5),
-        ("force, largest", "N", "max_n", 6),
-    ):
-        group.row(
-            quantity,
-            unit,
-            partial(_worst, key=key),
-            target=target,
-        )
-    _force(group)
-    add_error_rows(group)
-    add_reliability_rows(group)
+def _lag(method: MethodRuns) -> Value:
+    return method.mean(lambda run: _MM * run.lag)
 
 
-def _recovery(group: Comparison, share: float, median: float) -> None:
-    """Add the rows of recovery after moves; targets: share of runs in %, and median time in s."""
-    group.row("back after a move, all moves of all runs", "%", _returned)
-    group.row(
-        "runs back after every move",
-        "%",
-        lambda method: method.share(lambda run: bool(np.isfinite(run.recovery_times).all())),
-        target=share,
-        wanted="at least",
-    )
-    for q, what in ((0.5, "median"), (0.95, "95 %")):
-        group.row(
-            f"from the end of a move until back, {what}",
-            "s",
-            partial(_recovered, q=q),
-            target=median if what == "median" else None,
-        )
+def _lag_ratio(group: Comparison, eq_25: Comparison) -> Quantity:
+    """Return by how much less our method lags with feed-forward."""
+    without, ours = _lag(eq_25.ours).true, _lag(group.ours).true
+    ratio = without / ours if without and ours else None
+    return Quantity(
+        "lag without feed-forward over that", "",
+        lambda method: Value(ratio if method is group.ours else None),
+        target=4, wanted="at least",
+    )  # fmt: skip
 
 
-def _recovered(method: MethodRuns, q: float) -> Value:
-    """Return a quantile of the times of recovery after all moves of all runs."""
-    return _over_moves(method, lambda times: float(np.quantile(times, q, method="inverted_cdf")))
+def _over_moves(figure: Callable[[Any], float]) -> Callable[[MethodRuns], Value]:
+    """Return a figure of the times of recovery after all moves; infinite in a failed run."""
 
+    def of(method: MethodRuns) -> Value:
+        runs = [np.array(run.recovery_times) for run in method.runs]
+        moves = max(map(len, runs), default=0)
+        runs += method.failed * [np.full(moves, np.inf)]
+        return pooled([each for each in runs if len(each)], figure)
 
-def _returned(method: MethodRuns) -> Value:
-    """Return the share of all moves of all runs after which the needle is centred again, in %."""
-    return _over_moves(method, lambda times: 100 * float(np.isfinite(times).mean()))
-
-
-def _over_moves(method: MethodRuns, figure: Callable[[Any], float]) -> Value:
-    """Return a figure of the times of recovery; in a failed run they are infinite."""
-    runs = [np.array(run.recovery_times) for run in method.runs]
-    moves = max(map(len, runs), default=0)
-    runs = [each for each in [*runs, *(method.failed * [np.full(moves, np.inf)])] if len(each)]
-    if not runs:
-        return Value()
-    low, high = run_interval(runs, figure)
-    return Value(figure(np.concatenate(runs)), low=low, high=high)
-
-
-def _bent(group: Comparison) -> None:
-    group.errors("curve", "largest deviation along the curve", "mm", _MM, median=0.8, p95=1.5)
-    group.errors("tip", "tip error", "mm", _MM)
-    group.row(
-        "runs with the tip centred",
-        "%",
-        lambda method: method.share(lambda run: run.converged(straight=False)),
-    )
-    add_reliability_rows(group)
-
-
-def _directions(group: Comparison) -> None:
-    add_error_rows(group)
-    group.row("runs that converged", "%", lambda m: m.share(lambda run: run.converged()))
-    add_reliability_rows(group)
-
-
-def _settings(group: Comparison) -> None:
-    """Add the rows of other settings of the transducer, and of the time they leave."""
-    add_error_rows(group)
-    add_reliability_rows(group)
-    group.row(
-        "tracking a volume, 99 %, over the period of the acquisition",
-        "%",
-        lambda method: method.mean(_share_of_period),
-        target=100,
-    )
+    return of
 
 
 def _share_of_period(run: Run) -> float:
@@ -286,31 +148,84 @@ def _share_of_period(run: Run) -> float:
     return 100 * float(np.quantile(run.volumes.track_time, 0.99)) / period
 
 
-def _no_needle(group: Comparison) -> None:
-    group.row("volumes", "", lambda m: Value(sum(len(run.volumes.tip) for run in m.runs)))
-    add_false_start_rows(group, target=0)
+_CONVERGED = Quantity("runs that converged", "%", converged())
+_BACK = Quantity("back after a move, all moves of all runs", "%",
+                 _over_moves(lambda times: 100 * float(np.isfinite(times).mean())))  # fmt: skip
+_TIP = errors("tip", "tip error", "mm", _MM)
+_FORCE = (
+    summed("contact force, mean", "N", "force", "mean_n", paper=2.0),
+    Quantity("contact force, RMS error, worst run", "N", _worst("rms_error_n")),
+)
 
+_FIG4 = (
+    *(Quantity(f"tracking a volume, {what}", "ms",
+               partial(MethodRuns.error, name="track_time", q=q, factor=_MM), 175, target)
+      for what, q, target in (("median", 0.5, 10), ("99 %", 0.99, 175))),
+    *(Quantity(f"in the {where} when found within 10 mm, {which} insertion, {what}", "mm",
+               partial(_found, insertion=k, where=i, q=q),
+               target=15 if (where, what) == ("image", "largest") else None)
+      for k, which in enumerate(("first", "second"))
+      for what, q in (("median", 0.5), ("largest", 1.0))
+      for i, where in enumerate(("image", "tissue"))),
+    *errors("tip", "tip error", "mm", _MM, median=0.7, p95=1.5),
+    *errors("axis", "axis error", "deg", _DEG, median=0.7, p95=1.5),
+    *reliability(target=0),
+)  # fmt: skip
 
-def _open_value(group: Comparison) -> None:
-    """Add the rows of the published method with another value of what the paper leaves open."""
-    if "alpha_0" in group.name:
-        group.row("back after a move, all moves of all runs", "%", _returned)
-    else:
-        group.row("runs that converged", "%", lambda m: m.share(lambda run: run.converged()))
-    group.errors("tip", "tip error", "mm", _MM)
-    group.rows = [row for row in group.rows if "largest" not in row.quantity]
+_FIG5 = (
+    *at_rest(((1.10, 0.6), (0.23, 0.2), (0.97, 0.6)), share=100),
+    Quantity("lag in X while the hand moves at 5 mm/s", "mm", _lag),
+)
 
+_FIG6 = (
+    _BACK,
+    Quantity("runs back after every move", "%",
+             lambda m: m.share(lambda run: bool(np.isfinite(run.recovery_times).all())),
+             target=96, wanted="at least"),
+    *(Quantity(f"from the end of a move until back, {what}", "s", _over_moves(quantile_of(q)),
+               target=target)
+      for what, q, target in (("median", 0.5, 3.0), ("95 %", 0.95, None))),
+    Quantity("contact lost, worst run", "s", _worst("contact_lost_s"), target=0.5),
+    Quantity("force, largest", "N", _worst("max_n"), target=6),
+    *_FORCE, *ERRORS, *reliability(),
+)  # fmt: skip
 
-def _ablation(group: Comparison) -> None:
-    add_error_rows(group)
-    add_reliability_rows(group)
-    group.rows = [row for row in group.rows if "largest" not in row.quantity]
-
-
-_ROWS: dict[str, Callable[[Comparison], None]] = {
-    "fig4": _fig4, "fig6": _fig6, "bent": _bent, "directions": _directions
+_QUANTITIES: Mapping[str, Iterable[Quantity]] = {
+    "fig4": _FIG4,
+    "fig6": _FIG6,
+    "bent": (
+        *errors("curve", "largest deviation along the curve", "mm", _MM, median=0.8, p95=1.5),
+        *_TIP,
+        Quantity("runs with the tip centred", "%", converged(straight=False)),
+        *reliability(),
+    ),
+    "directions": (*ERRORS, _CONVERGED, *reliability()),
+    "settings": (
+        *ERRORS,
+        *reliability(),
+        Quantity("tracking a volume, 99 %, over the period of the acquisition", "%",
+                 lambda method: method.mean(_share_of_period), target=100),
+    ),
+    "no needle": (
+        Quantity("volumes", "",
+                 lambda m: Value(sum(len(run.volumes.tip) for run in m.runs))),
+        false_starts(target=0),
+    ),
+    "open": (_CONVERGED, *_TIP[:2]),
+    **dict.fromkeys(("open, alpha_0", "open, margin"), (_BACK, *_TIP[:2])),
+    "fig5, ": [each for each in (*ERRORS, *reliability()) if "largest" not in each.name],
 }  # fmt: skip
-"""Function that adds the rows of an experiment."""
+"""Quantities of an experiment, by the beginning of its name; the longest one counts."""
+
+
+def _quantities(group: Comparison, groups: Mapping[str, Comparison]) -> Iterable[Quantity]:
+    if group.name == "fig5":
+        eq_25 = groups.get("fig5, no feed-forward")
+        ratio = [_lag_ratio(group, eq_25)] if eq_25 else []
+        force = (_FORCE[0], replace(_FORCE[1], target=0.05))
+        return (*_FIG5, *ratio, *force, *ERRORS, *reliability())
+    known = [each for each in _QUANTITIES if group.name.startswith(each)]
+    return _QUANTITIES[max(known, key=len)] if known else ()
 
 
 def _compute_ms(runs: Sequence[Run]) -> dict[str, dict[str, float | None]]:

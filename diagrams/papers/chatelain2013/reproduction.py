@@ -14,8 +14,7 @@ from rich.console import Console
 
 from sonoservo.diagrams.papers.chatelain2013.report import report
 from sonoservo.diagrams.studies.following.analysis import AS_PUBLISHED, run_case
-from sonoservo.diagrams.studies.runs import run_cases
-from sonoservo.diagrams.studies.store import Store
+from sonoservo.diagrams.studies.runs import run_study
 from sonoservo.diagrams.studies.study import Case, StudyOptions
 from sonoservo.diagrams.studies.study_report import Study
 
@@ -48,7 +47,7 @@ OPEN_VALUES: Mapping[str, Sequence[str]] = {
         f"candidates of a difference {size} mm3": [f"tracker.detection.candidate_volume={size}e-9"]
         for size in (2, 10, 30)
     },
-    "delta 10 mm": ["tracker.detection.max_depth=10e-3"],
+    **{f"delta {depth} mm": [f"tracker.detection.max_depth={depth}e-3"] for depth in (5, 10)},
     **{
         f"candidates of a volume {size} mm3": [f"tracker.localization.candidate_volume={size}e-9"]
         for size in (120, 250, 800)
@@ -65,6 +64,7 @@ OPEN_VALUES: Mapping[str, Sequence[str]] = {
         f"alpha_0 {angle} deg": [f"tracker.localization.max_angle_deg={angle}"]
         for angle in (10, 20, 50)
     },
+    **{f"margin {size} mm": [f"tracker.localization.margin={size}e-3"] for size in (10, 15)},
 }
 """Changes of the published method by values of what the paper leaves open; chosen are others."""
 
@@ -187,7 +187,7 @@ PROTOCOLS: Mapping[str, Protocol] = {
     },
     **{
         f"open, {name}": Protocol(
-            "chatelain2013_fig6" if name.startswith("alpha") else "chatelain2013_fig5",
+            "chatelain2013_fig6" if name.startswith(("alpha", "margin")) else "chatelain2013_fig5",
             3,
             (1, 11.0),
             changes,
@@ -201,15 +201,7 @@ PROTOCOLS: Mapping[str, Protocol] = {
 def reproduce(options: StudyOptions) -> Study:
     """Run the experiments, and compare them with the paper."""
     logs = options.folder / "logs"
-    outcomes = run_cases(
-        run_case,
-        study_cases(options),
-        options.folder / "cases",
-        jobs=options.jobs,
-        cluster=options.cluster,
-        store=Store(str(logs)),
-        console=options.console,
-    )
+    outcomes = run_study(run_case, study_cases(options), options, logs=logs)
     with (options.console or Console(quiet=True)).status("Making the report from the logs ..."):
         return report(outcomes, logs)
 

@@ -126,4 +126,5 @@ class Phantom:
         # The carrier has half the power of the envelope, which is 1 in the tissue.
         level = 10 ** (_NOISE_DB / 20) / np.sqrt(2)
         lines += np.float32(level) * rng.standard_normal(lines.shape, dtype=np.float32)
-        return RadioFrequencySweep(seal(lines), self._at_rest.at_once(time))
+        motion, spread = self._at_rest.at_once(time), self.renderer.point_spread
+        return RadioFrequencySweep(seal(lines), motion, spread)

@@ -12,8 +12,7 @@ from sonoservo.diagrams.papers.zhao2012.report import report
 from sonoservo.diagrams.papers.zhao2012.runs import run_case
 from sonoservo.diagrams.papers.zhao2012.speed_report import INTERACTING, NO_VELOCIMETER
 from sonoservo.diagrams.studies.following.analysis import AS_PUBLISHED
-from sonoservo.diagrams.studies.runs import run_cases
-from sonoservo.diagrams.studies.store import Store
+from sonoservo.diagrams.studies.runs import run_study
 from sonoservo.diagrams.studies.study import Case, StudyOptions
 from sonoservo.diagrams.studies.study_report import Study
 
@@ -53,15 +52,7 @@ The first push brings the needle into view."""
 def reproduce(options: StudyOptions) -> Study:
     """Run the experiments, and compare them with the paper."""
     logs = options.folder / "logs"
-    outcomes = run_cases(
-        run_case,
-        study_cases(options),
-        options.folder / "cases",
-        jobs=options.jobs,
-        cluster=options.cluster,
-        store=Store(str(logs)),
-        console=options.console,
-    )
+    outcomes = run_study(run_case, study_cases(options), options, logs=logs)
     return report(outcomes, logs)
 
 

@@ -1,7 +1,6 @@
 """Rows of the speed of the tip, from single volumes and in the loop of Chatelain 2013's fig. 5."""
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,14 +8,17 @@ from numpy.typing import NDArray
 from sonoservo.diagrams.papers.zhao2012.runs import SPEEDOMETERS
 from sonoservo.diagrams.studies.following.analysis import Run
 from sonoservo.diagrams.studies.following.method_report import (
+    ERRORS,
     Comparison,
     MethodRuns,
-    add_rest_rows,
-    add_tracking_rows,
+    at_rest,
+    reliability,
 )
+from sonoservo.diagrams.studies.run_group import Value, pooled
 from sonoservo.diagrams.studies.study import Outcome
 from sonoservo.diagrams.studies.study_report import StudyRow
-from sonoservo.systems.evaluation.intervals import run_interval
+
+Floats = NDArray[np.float64]
 
 SPEEDOMETER_NAMES = {
     "velocimeter": "velocimeter in our tracker",
@@ -29,16 +31,14 @@ SPEEDOMETER_NAMES = {
 _RMSE_TARGET = 0.3
 
 
-def speed_errors(
-    outcomes: Sequence[Outcome], experiment: str
-) -> Mapping[str, list[NDArray[np.float64]]]:
+def speed_errors(outcomes: Sequence[Outcome], experiment: str) -> Mapping[str, list[Floats]]:
     """Return the errors of the speed along the needle in mm/s by source and run.
 
     They count from the third volume on; NaN where a source gave nothing. The true speed is the mean
     between two volumes.
     """
     mine = [each for each in outcomes if each and each.case.experiment == experiment]
-    errors: dict[str, list[NDArray[np.float64]]] = {}
+    errors: dict[str, list[Floats]] = {}
     for each in mine:
         found = np.array(each.result["speeds_mm_s"], dtype=float)
         true = np.array([0.0, *each.case.settings["speeds_mm_s"]])
@@ -47,50 +47,43 @@ def speed_errors(
     return errors
 
 
-def speed_rows(experiment: str, errors: Mapping[str, list[NDArray[np.float64]]]) -> list[StudyRow]:
+def speed_rows(experiment: str, errors: Mapping[str, list[Floats]]) -> list[StudyRow]:
     """Return rows with bias, RMSE and share of the volumes with a speed of each source."""
     rows = []
-    published = experiment.endswith("fresh speckle")
     for name, runs in errors.items():
-        label = SPEEDOMETER_NAMES[name]
-        target = _RMSE_TARGET if published and name == "velocimeter" else None
-        for quantity, figure, most in (("bias", bias, None), ("RMSE", rmse, target)):
-            value = figure(np.concatenate(runs))
-            low, high = run_interval(runs, figure)
-            values: dict[str, Any] = {"true": value, "low": low, "high": high}
-            if np.isnan(value):
-                values = {}
-            if name == "published":
-                values = {f"published_{key}": each for key, each in values.items()}
-            rows.append(
-                StudyRow(
-                    experiment=experiment,
-                    quantity=f"speed along the needle, {quantity}, {label}",
-                    unit="mm/s",
-                    target=most,
-                    **values,
-                )
-            )
+        judged = experiment.endswith("fresh speckle") and name == "velocimeter"
+        for quantity, figure, target in (
+            ("bias", bias, None),
+            ("RMSE", rmse, _RMSE_TARGET if judged else None),
+        ):
+            value = _known(runs, figure)
+            both = (Value(), value) if name == "published" else (value,)
+            label = f"speed along the needle, {quantity}, {SPEEDOMETER_NAMES[name]}"
+            rows.append(StudyRow.of(experiment, label, "mm/s", *both, target=target))
         if name == "velocimeter":
-            share = 100 * float(np.mean(np.isfinite(np.concatenate(runs))))
-            quantity = f"speed found, {label}"
-            rows.append(StudyRow(experiment=experiment, quantity=quantity, unit="%", true=share))
+            share = Value(100 * float(np.mean(np.isfinite(np.concatenate(runs)))))
+            label = f"speed found, {SPEEDOMETER_NAMES[name]}"
+            rows.append(StudyRow.of(experiment, label, "%", share))
     return rows
 
 
-def bias(errors: NDArray[np.float64]) -> float:
+def _known(runs: Sequence[Floats], figure: Callable[[Floats], float]) -> Value:
+    """Return a figure of the errors of all runs, with its interval, if there is one."""
+    value = pooled(runs, figure)
+    return Value() if value.true is None or np.isnan(value.true) else value
+
+
+def bias(errors: Floats) -> float:
     """Return the mean of the known errors; NaN without any."""
     known = errors[np.isfinite(errors)]
     return float(known.mean()) if len(known) else np.nan
 
 
-def rmse(errors: NDArray[np.float64]) -> float:
+def rmse(errors: Floats) -> float:
     """Return the root mean square of the known errors; NaN without any."""
     known = errors[np.isfinite(errors)]
     return float(np.sqrt((known**2).mean())) if len(known) else np.nan
 
-
-Floats = NDArray[np.float64]
 
 CLOSED_LOOP = "closed loop"
 """Name of the experiment with fig. 5 as it is."""
@@ -120,9 +113,7 @@ def loop_rows(outcomes: Sequence[Outcome]) -> list[StudyRow]:
     rows: list[StudyRow] = []
     if CLOSED_LOOP in names:
         group = Comparison(outcomes, CLOSED_LOOP)
-        add_rest_rows(group)
-        add_tracking_rows(group)
-        rows += group.rows
+        rows += group.rows((*at_rest(), *ERRORS, *reliability()))
     for name in (each for each in names if each + NO_VELOCIMETER in names):
         rows += _speed_rows(outcomes, name)
     return rows
@@ -131,66 +122,43 @@ def loop_rows(outcomes: Sequence[Outcome]) -> list[StudyRow]:
 def _speed_rows(outcomes: Sequence[Outcome], name: str) -> list[StudyRow]:
     """Return bias and root mean square error of the estimated speed at each true speed."""
     group = Comparison(outcomes, name)
-    ours, published = (
-        [loop_errors(run) for run in each.runs] for each in (group.ours, group.published)
-    )
-    baselines = {
-        label: [loop_errors(run) for run in MethodRuns(outcomes, name + ending).runs]
-        for ending, label in _BASELINES.items()
+    methods = {
+        "": group.ours,
+        "published": group.published,
+        **{label: MethodRuns(outcomes, name + ending) for ending, label in _BASELINES.items()},
     }
+    found = {label: [loop_errors(run) for run in each.runs] for label, each in methods.items()}
     rows = []
-    for speed in sorted({each for run in (*ours, *published) for each in run}):
+
+    def at(speed: float, label: str, figure: Callable[[Floats], float]) -> Value:
+        return _known([run[speed] for run in found[label] if len(run.get(speed, ()))], figure)
+
+    for speed in sorted(
+        {each for label in ("", "published") for run in found[label] for each in run}
+    ):
         when = f"at {speed:g} mm/s, while tracked, from {_SETTLED:g} s after a change on"
         for what, figure in (("bias", bias), ("RMSE", rmse)):
             quantity = f"speed along the needle, {what} {when}"
-            values = _values(ours, speed, figure) | _values(published, speed, figure, "published_")
-            rows.append(StudyRow(experiment=name, quantity=quantity, unit="mm/s", **values))
+            both = (at(speed, each, figure) for each in ("", "published"))
+            rows.append(StudyRow.of(name, quantity, "mm/s", *both))
             rows += [
-                StudyRow(
-                    experiment=name,
-                    quantity=f"{quantity}, {label}",
-                    unit="mm/s",
-                    **_values(baseline, speed, figure),
-                )
-                for label, baseline in baselines.items()
-                if baseline
+                StudyRow.of(name, f"{quantity}, {label}", "mm/s", at(speed, label, figure))
+                for label in _BASELINES.values()
+                if found[label]
             ]
         quantity = f"volumes not tracked at {speed:g} mm/s, from {_SETTLED:g} s after a change on"
-        values = _values(ours, speed, _missing) | _values(published, speed, _missing, "published_")
-        rows.append(StudyRow(experiment=name, quantity=quantity, unit="%", **values))
+        both = (at(speed, each, _missing) for each in ("", "published"))
+        rows.append(StudyRow.of(name, quantity, "%", *both))
         if speed <= _JUDGED:
-            size = _values(ours, speed, bias)["true"]
-            rows.append(
-                StudyRow(
-                    experiment=name,
-                    quantity=f"speed along the needle, size of the bias {when}",
-                    unit="mm/s",
-                    true=None if size is None else abs(size),
-                    target=WITHIN,
-                )
-            )
+            size = at(speed, "", bias).true
+            quantity = f"speed along the needle, size of the bias {when}"
+            value = Value(None if size is None else abs(size))
+            rows.append(StudyRow.of(name, quantity, "mm/s", value, target=WITHIN))
     return rows
 
 
 def _missing(errors: Floats) -> float:
     return 100 * float(np.isnan(errors).mean())
-
-
-def _values(
-    runs: Sequence[Mapping[float, Floats]],
-    speed: float,
-    figure: Callable[[Floats], float],
-    prefix: str = "",
-) -> dict[str, Any]:
-    """Return a figure of the errors at one speed and its interval, as fields of a row."""
-    errors = [run[speed] for run in runs if len(run.get(speed, ()))]
-    if not errors:
-        return {f"{prefix}true": None}
-    low, high = run_interval(errors, figure)
-    true = figure(np.concatenate(errors))
-    if np.isnan(true):
-        return {f"{prefix}true": None}
-    return {f"{prefix}true": true, f"{prefix}low": low, f"{prefix}high": high}
 
 
 def loop_errors(run: Run) -> dict[float, Floats]:

@@ -1,9 +1,9 @@
 """Figures of the runs of one method, with their intervals, and rows that compare two methods."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from sonoservo.diagrams.studies.following.analysis import AS_PUBLISHED, Run, Volumes, pooled_runs
 from sonoservo.diagrams.studies.run_group import RunGroup, Value, pooled, quantile_of
 from sonoservo.diagrams.studies.study import Outcome
-from sonoservo.diagrams.studies.study_report import StudyRow
+from sonoservo.diagrams.studies.study_report import Side, StudyRow
 
 Floats = NDArray[np.float64]
 
@@ -35,66 +35,90 @@ class MethodRuns(RunGroup[Run]):
         return pooled([each for each in runs if len(each)], quantile_of(q))
 
 
+@dataclass(frozen=True)
+class Quantity:
+    """A quantity with its unit, its figure of a method's runs, the paper's, and the target."""
+
+    name: str
+    unit: str
+    figure: Callable[[MethodRuns], Value]
+    paper: float | None = None
+    target: float | None = None
+    wanted: Side = "at most"
+
+
 class Comparison:
-    """Runs of one experiment with both methods, and the rows made from them."""
+    """Runs of one experiment with both methods."""
 
     def __init__(self, outcomes: Sequence[Outcome], name: str, logs: Path | None = None) -> None:
         self.name = name
         self.ours = MethodRuns(outcomes, name, logs)
         self.published = MethodRuns(outcomes, name + AS_PUBLISHED, logs)
-        self.rows: list[StudyRow] = []
 
-    @property
-    def runs(self) -> list[Run]:
-        """Finished runs with our method."""
-        return self.ours.runs
-
-    def row(
-        self, quantity: str, unit: str, figure: Callable[[MethodRuns], Value], **more: Any
-    ) -> None:
-        """Add a row with the same figure of both methods."""
-        figures = figure(self.ours), figure(self.published)
-        self.rows.append(StudyRow.of(self.name, quantity, unit, *figures, **more))
-
-    def errors(self, name: str, quantity: str, unit: str, factor: float, **targets: float) -> None:
-        """Add the rows of an error over all volumes that count: median, 95 % and largest."""
-        for what, key, q in (("median", "median", 0.5), ("95 %", "p95", 0.95), ("largest", "", 1)):
-            self.row(
-                f"{quantity}, from 20 mm in view on, {what}",
-                unit,
-                partial(MethodRuns.error, name=name, q=q, factor=factor),
-                target=targets.get(key),
+    def rows(self, quantities: Iterable[Quantity]) -> list[StudyRow]:
+        """Return a row for each quantity, with the figures of both methods."""
+        return [
+            StudyRow.of(
+                self.name, each.name, each.unit, each.figure(self.ours),
+                each.figure(self.published),
+                paper=each.paper, target=each.target, wanted=each.wanted,
             )
-
-    def summed(self, quantity: str, unit: str, *path: str, **more: Any) -> None:
-        """Add a row with the mean over runs of a figure of their summaries."""
-        self.row(quantity, unit, lambda method: method.mean(lambda run: run.figure(*path)), **more)
+            for each in quantities
+        ]  # fmt: skip
 
 
-def add_rest_rows(
-    group: Comparison,
+_QUANTILES = {"median": 0.5, "95 %": 0.95, "largest": 1.0}
+
+
+def errors(
+    column: str, name: str, unit: str, factor: float, **targets: float
+) -> tuple[Quantity, ...]:
+    """Return an error over all volumes that count: median, 95 % and largest.
+
+    ``targets`` are those of the median and of 95 % (p95).
+    """
+    keys = {"median": "median", "95 %": "p95"}
+    return tuple(
+        Quantity(
+            f"{name}, from 20 mm in view on, {what}", unit,
+            partial(MethodRuns.error, name=column, q=q, factor=factor),
+            target=targets.get(keys.get(what, "")),
+        )
+        for what, q in _QUANTILES.items()
+    )  # fmt: skip
+
+
+ERRORS = (*errors("tip", "tip error", "mm", _MM), *errors("axis", "axis error", "deg", _DEG))
+"""Errors of tip and axis."""
+
+
+def summed(name: str, unit: str, *path: str, paper: float | None = None) -> Quantity:
+    """Return the mean over runs of a figure of their summaries."""
+    return Quantity(name, unit, lambda method: method.mean(lambda run: run.figure(*path)), paper)
+
+
+def converged(straight: bool = True) -> Callable[[MethodRuns], Value]:
+    """Return the figure that is the share of runs which converged."""
+    return lambda method: method.share(lambda run: run.converged(straight))
+
+
+def at_rest(
     known: Sequence[tuple[float | None, float | None]] = 3 * ((None, None),),
     share: float | None = None,
-) -> None:
-    """Add the rows of the features at rest: where a run converged, and its median over all."""
-    group.row(
-        "runs that converged", "%", lambda m: m.share(lambda run: run.converged()),
-        target=share, wanted="at least",
-    )  # fmt: skip
+) -> list[Quantity]:
+    """Return the features at rest: where a run converged, and the median over all runs.
+
+    ``known``: the paper's figures and the targets; ``share``: target of runs that converge, in %.
+    """
+    rows = [Quantity("runs that converged", "%", converged(), target=share, wanted="at least")]
     for k, (name, (paper, target)) in enumerate(zip(("X", "Z", "Theta"), known, strict=True)):
         unit, factor = ("deg", _DEG) if name == "Theta" else ("mm", _MM)
-        group.row(
-            f"at rest where it converged, mean |{name}|",
-            unit,
-            partial(_at_rest, feature=k, factor=factor),
-            paper=paper,
-            target=target,
-        )
-        group.row(
-            f"at rest, all runs, median |{name}|",
-            unit,
-            partial(_at_rest, feature=k, factor=factor, every=True),
-        )
+        figure = partial(_at_rest, feature=k, factor=factor)
+        where = f"at rest where it converged, mean |{name}|"
+        rows.append(Quantity(where, unit, figure, paper, target))
+        every = partial(figure, every=True)
+        rows.append(Quantity(f"at rest, all runs, median |{name}|", unit, every))
+    return rows
 
 
 def _at_rest(method: MethodRuns, feature: int, factor: float, every: bool = False) -> Value:
@@ -109,37 +133,39 @@ def _at_rest(method: MethodRuns, feature: int, factor: float, every: bool = Fals
     return method.those(lambda run: run.converged()).mean(*figures)
 
 
-def add_tracking_rows(group: Comparison) -> None:
-    """Add the rows of the errors of tip and axis, and of failures of tracking."""
-    add_error_rows(group)
-    add_reliability_rows(group)
-
-
-def add_error_rows(group: Comparison) -> None:
-    """Add the rows of the errors of tip and axis."""
-    group.errors("tip", "tip error", "mm", _MM)
-    group.errors("axis", "axis error", "deg", _DEG)
-
-
-def add_reliability_rows(group: Comparison, target: float | None = None) -> None:
-    """Add the rows of failures of tracking, and of what an estimate says of itself."""
-
-    def untracked(run: Run) -> float:
-        counted = run.volumes.tracked[run.volumes.enough]
-        return 100 * float(np.mean(~counted)) if len(counted) else np.nan
-
-    def lost(run: Run) -> int:
-        return int(np.sum(np.diff(run.volumes.lost.astype(int)) > 0))
-
-    group.row("volumes not tracked, from 20 mm in view on", "%", lambda m: m.mean(untracked))
-    group.row("times lost, all runs", "", lambda m: m.count(lost), target=target)
-    add_false_start_rows(group, target)
-    group.summed("tracking shown without a needle", "s", "tracking", "absent_s")
-    group.summed("travel of the probe without a needle", "mm", "tracking", "absent_travel_mm")
+def reliability(target: float | None = None) -> list[Quantity]:
+    """Return the failures of tracking, and what an estimate says of itself."""
+    rows = [
+        Quantity("volumes not tracked, from 20 mm in view on", "%", lambda m: m.mean(_untracked)),
+        Quantity("times lost, all runs", "", lambda m: m.count(_lost), target=target),
+        false_starts(target),
+        summed("tracking shown without a needle", "s", "tracking", "absent_s"),
+        summed("travel of the probe without a needle", "mm", "tracking", "absent_travel_mm"),
+    ]
     for what in ("tip", "axis", "velocity"):
-        path = ("tracking", "consistency", what)
-        group.row(f"truth inside the stated 95 %, {what}", "%", partial(_within, what=what))
-        group.summed(f"normalised squared error, {what}", "", *path, "nees")
+        within = partial(_within, what=what)
+        rows.append(Quantity(f"truth inside the stated 95 %, {what}", "%", within))
+        path = ("tracking", "consistency", what, "nees")
+        rows.append(summed(f"normalised squared error, {what}", "", *path))
+    return rows
+
+
+def false_starts(target: float | None = None) -> Quantity:
+    """Return the number of tracks that began on something that is no needle."""
+    return Quantity(
+        "false starts, more than 10 mm off or without a needle, all runs", "",
+        lambda method: method.count(lambda run: int(run.summary["detection"]["false_starts"])),
+        target=target,
+    )  # fmt: skip
+
+
+def _untracked(run: Run) -> float:
+    counted = run.volumes.tracked[run.volumes.enough]
+    return 100 * float(np.mean(~counted)) if len(counted) else np.nan
+
+
+def _lost(run: Run) -> int:
+    return int(np.sum(np.diff(run.volumes.lost.astype(int)) > 0))
 
 
 def _within(method: MethodRuns, what: str) -> Value:
@@ -150,13 +176,3 @@ def _within(method: MethodRuns, what: str) -> Value:
         return None if value is None else 100 * value
 
     return method.mean(share)
-
-
-def add_false_start_rows(group: Comparison, target: float | None = None) -> None:
-    """Add the rows of tracks that began on something that is no needle."""
-    group.row(
-        "false starts, more than 10 mm off or without a needle, all runs",
-        "",
-        lambda method: method.count(lambda run: int(run.summary["detection"]["false_starts"])),
-        target=target,
-    )

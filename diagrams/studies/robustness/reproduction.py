@@ -14,7 +14,7 @@ from rich.console import Console
 from sonoservo.diagrams.studies.robustness.report import report
 from sonoservo.diagrams.studies.robustness.runs import OURS, TRACKERS, run_case
 from sonoservo.diagrams.studies.robustness.turned_dials import CLINIC, GRADED, PLAIN, turned
-from sonoservo.diagrams.studies.runs import run_cases
+from sonoservo.diagrams.studies.runs import run_study
 from sonoservo.diagrams.studies.study import Case, StudyOptions
 from sonoservo.diagrams.studies.study_report import Study
 
@@ -62,14 +62,7 @@ _QUICK_DIALS = ("faint needle", "breathing", "hand-eye calibration", "speed of s
 
 def reproduce(options: StudyOptions) -> Study:
     """Run the study."""
-    outcomes = run_cases(
-        run_case,
-        study_cases(options),
-        options.folder / "cases",
-        jobs=options.jobs,
-        cluster=options.cluster,
-        console=options.console,
-    )
+    outcomes = run_study(run_case, study_cases(options), options)
     with (options.console or Console(quiet=True)).status("Making the report ..."):
         return report(outcomes, pictured=True)
 

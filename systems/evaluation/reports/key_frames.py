@@ -31,7 +31,7 @@ def plot_key_frames(log: RunLog, pictures: Sequence[VolumePictures]) -> dict[str
     if not pictures or not len(log.volume_time):
         return {}
     times = np.array([each.time for each in pictures])
-    figures = {}
+    figures: dict[str, Figure] = {}
     for volume, words in key_volumes(log).items():
         nearest = pictures[int(np.abs(times - log.volume_time[volume]).argmin())]
         shown = int(np.abs(log.volume_time - nearest.time).argmin())  # of a long run, a neighbour
@@ -51,7 +51,7 @@ def key_volumes(log: RunLog, parameters: MetricsParameters | None = None) -> dic
         return {shown: "the volume that shows most of the needle, which was not found"}
     moments: dict[int, list[str]] = {}
 
-    def tell(volumes: Floats, number: int, words: str) -> None:
+    def tell(volumes: NDArray[np.intp], number: int, words: str) -> None:
         if len(volumes):
             moments.setdefault(int(volumes[number]), []).append(words)
 

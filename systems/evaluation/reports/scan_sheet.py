@@ -134,10 +134,10 @@ def _frame_view(sweep: Sweep, brightest: Floats | None) -> View:
 def _slice_views(volume: Volume, needle: Needle, brightest: Floats | None) -> list[View]:
     nowhere = np.zeros(3)
     if brightest is None:
-        lateral, elevation = slice_planes(volume)
+        across, along = slice_planes(volume)
         return [
-            _plane_view(lateral, ("Slice at elevation 0", "lateral", "depth"), nowhere),
-            _plane_view(elevation, ("Slice at lateral 0", "elevation", "depth"), nowhere),
+            _plane_view(across, ("Slice at elevation 0", "lateral", "depth"), nowhere),
+            _plane_view(along, ("Slice at lateral 0", "elevation", "depth"), nowhere),
         ]
     size, centre = volume.upper - volume.origin, 0.5 * (volume.upper + volume.origin)
     elevation, depth = np.array([0, 0, 1.0]), np.array([0, 1.0, 0])
@@ -146,10 +146,10 @@ def _slice_views(volume: Volume, needle: Needle, brightest: Floats | None) -> li
     beam, cross = slice_planes(volume, needle.curve)
     frames = Plane(RigidTransform(R_PS, centre), width=size[2], height=size[1])
     (tip,) = volume.to_probe(needle.tip[np.newaxis])
-    name, along = "Slice along the needle", "along the needle, from the tip"
+    name, axis = "Slice along the needle", "along the needle, from the tip"
     return [
-        _plane_view(beam, ("Slice along the needle and the beam", along, "depth"), tip * [1, 0, 1]),
-        _plane_view(cross, (f"{name}, across the beam", along, "across it"), tip),
+        _plane_view(beam, (f"{name} and the beam", axis, "depth"), tip * [1, 0, 1]),
+        _plane_view(cross, (f"{name}, across the beam", axis, "across it"), tip),
         _plane_view(frames, ("Slice across the frames", "elevation", "depth"), nowhere),
     ]
 

@@ -85,7 +85,7 @@ class PlanePicture(Picture):
         """Draw the slice with the estimate, and with the true needle in P, in m, if it is given."""
         super().draw(axes)
         for points, colour, mark, style in (
-            (() if true is None else self.project(true), TRUTH, "+", "-"),
+            (np.zeros((0, 2)) if true is None else self.project(true), TRUTH, "+", "-"),
             (self.needle, ESTIMATE, "o", (0, (3, 2))),
         ):
             if len(points):

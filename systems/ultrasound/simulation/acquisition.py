@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 from sonoservo.systems.signals.immutable import seal
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.sweep import Sweep, SweepMotion
-from sonoservo.systems.ultrasound.simulation.errors.connection import repeat_lost_frames
-from sonoservo.systems.ultrasound.simulation.errors.motor import (
+from sonoservo.systems.ultrasound.simulation.errors import (
     MotorParameters,
     motor_error,
+    repeat_lost_frames,
     turned,
 )
 from sonoservo.systems.ultrasound.simulation.frame_renderer import Frames

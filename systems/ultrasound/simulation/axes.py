@@ -1,4 +1,4 @@
-"""Orthogonal axes along a direction, horizontally across it, and upwards from it."""
+"""Axes along a direction, horizontally across it and upwards from it; distances from a segment."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,3 +13,12 @@ def frame_along(direction: NDArray[np.float64]) -> NDArray[np.float64]:
     level = np.hypot(x, y)
     c, s = (-y / level, x / level) if level > 1e-9 else (1.0, 0.0)
     return np.array([[x, y, z], [c, s, 0.0], [-z * s, z * c, x * s - y * c]])
+
+
+def distance_to_segment(
+    points: NDArray[np.float64], start: NDArray[np.float64], end: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the distances in m of (..., 3) points from a straight segment."""
+    axis = end - start
+    share = np.clip((points - start) @ axis / (axis @ axis), 0, 1)
+    return np.linalg.norm(points - start - share[..., np.newaxis] * axis, axis=-1)

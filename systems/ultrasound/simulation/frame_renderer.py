@@ -13,6 +13,7 @@ from sonoservo.systems.ultrasound.beam import Beam, beam_profile
 from sonoservo.systems.ultrasound.imaging import ImagingParameters, sweep_geometry
 from sonoservo.systems.ultrasound.simulation.air_pockets import AirPockets
 from sonoservo.systems.ultrasound.simulation.haze import gain_errors, speckle_field
+from sonoservo.systems.ultrasound.simulation.kernels.blocks import scatterer_tile
 from sonoservo.systems.ultrasound.simulation.kernels.bright_echo import render_points
 from sonoservo.systems.ultrasound.simulation.kernels.displacement import Displacements
 from sonoservo.systems.ultrasound.simulation.kernels.echo import (
@@ -28,15 +29,14 @@ from sonoservo.systems.ultrasound.simulation.kernels.image_formation import (
 from sonoservo.systems.ultrasound.simulation.kernels.layers import expand_gains
 from sonoservo.systems.ultrasound.simulation.kernels.line_blur import line_kernel
 from sonoservo.systems.ultrasound.simulation.kernels.medium import Sights
-from sonoservo.systems.ultrasound.simulation.kernels.scatterer_tile import scatterer_tile
 from sonoservo.systems.ultrasound.simulation.kernels.surface_echo import render_surfaces
 from sonoservo.systems.ultrasound.simulation.needles.needle_echo import NeedleEchoParameters
 from sonoservo.systems.ultrasound.simulation.needles.needle_renderer import (
     FrameViews,
     NeedleRenderer,
 )
-from sonoservo.systems.ultrasound.simulation.pulses import PulseTables
-from sonoservo.systems.ultrasound.simulation.rays import (
+from sonoservo.systems.ultrasound.simulation.pulses import (
+    PulseTables,
     frame_poses,
     line_rays,
     line_widths,
@@ -44,9 +44,9 @@ from sonoservo.systems.ultrasound.simulation.rays import (
 )
 from sonoservo.systems.ultrasound.simulation.reaction.deformation import Deformation, displacements
 from sonoservo.systems.ultrasound.simulation.scanner_parameters import ScannerParameters
-from sonoservo.systems.ultrasound.simulation.scatterers.bright_points import inclusion_points
+from sonoservo.systems.ultrasound.simulation.scatterers import inclusion_points
 from sonoservo.systems.ultrasound.simulation.scene import Scene
-from sonoservo.systems.ultrasound.simulation.structures.resting_needle import RestingNeedle
+from sonoservo.systems.ultrasound.simulation.structures.kinds import RestingNeedle
 from sonoservo.systems.ultrasound.simulation.tissue import Tissue
 from sonoservo.systems.ultrasound.transducer import Transducer
 
@@ -55,20 +55,8 @@ from sonoservo.systems.ultrasound.transducer import Transducer
 class Frames:
     """Successive frames of a sweep, with the true state of the world at each frame's time.
 
-    Parameters
-    ----------
-    part
-        Numbers of the frames; frames are numbered towards +Z.
-    direction
-        +1 for a sweep towards +Z, -1 towards -Z.
-    X_TP
-        (n, 4, 4) pose of the probe in the tissue.
-    times
-        (n,) times in s, for pulsation, flow and fading.
-    needles
-        True needle in T, possibly empty.
-    deformations
-        Deformation of the tissue; None for undeformed tissue.
+    ``part`` has their numbers, towards +Z whatever the direction of the sweep; see
+    `SweepRenderer.echo`.
     """
 
     part: slice

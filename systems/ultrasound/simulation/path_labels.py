@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonoservo.systems.ultrasound.simulation.anatomy.anatomy_grid import AnatomyGrid
+from sonoservo.systems.ultrasound.simulation.axes import distance_to_segment
 from sonoservo.systems.ultrasound.simulation.structures.structure import Tube
-from sonoservo.systems.ultrasound.simulation.structures.vessel import distance_to_segment
 from sonoservo.systems.ultrasound.simulation.tissue import Tissue
 
 _SPACING = 1e-3

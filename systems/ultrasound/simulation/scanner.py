@@ -17,8 +17,7 @@ from sonoservo.systems.signals.requirements import require_not_negative
 from sonoservo.systems.signals.sweep import MotionRecord, Sweep, SweepGeometry, SweepMotion
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
 from sonoservo.systems.ultrasound.simulation.acquisition import acquire_sweep, begin_frames
-from sonoservo.systems.ultrasound.simulation.errors.clock import poses_at
-from sonoservo.systems.ultrasound.simulation.errors.connection import Reception
+from sonoservo.systems.ultrasound.simulation.errors import Reception, poses_at
 from sonoservo.systems.ultrasound.simulation.frame_renderer import Frames
 from sonoservo.systems.ultrasound.simulation.reaction.deformation import Deformation
 from sonoservo.systems.ultrasound.simulation.rendering import GROUP, SweepRenderer

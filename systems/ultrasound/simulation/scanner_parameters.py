@@ -5,9 +5,12 @@ from typing import Annotated, TypeAlias
 
 from sonoservo.systems.signals.requirements import Bounded, NotNegative, Positive, within
 from sonoservo.systems.ultrasound.simulation.air_pockets import AirPocketParameters
-from sonoservo.systems.ultrasound.simulation.errors.clock import ClockParameters
-from sonoservo.systems.ultrasound.simulation.errors.connection import ConnectionParameters, Share
-from sonoservo.systems.ultrasound.simulation.errors.motor import MotorParameters
+from sonoservo.systems.ultrasound.simulation.errors import (
+    ClockParameters,
+    ConnectionParameters,
+    MotorParameters,
+    Share,
+)
 from sonoservo.systems.ultrasound.simulation.needles.needle_echo import NeedleEchoParameters
 
 Decibels: TypeAlias = Annotated[float, within(-300, 20, " dB")]

@@ -24,7 +24,7 @@ from sonoservo.systems.ultrasound.simulation.kernels.surface_echo import (
 )
 from sonoservo.systems.ultrasound.simulation.path_labels import PathLabels, path_labels
 from sonoservo.systems.ultrasound.simulation.pulses import PulseTables, stacked
-from sonoservo.systems.ultrasound.simulation.scatterers.scatterer_regions import scatterer_regions
+from sonoservo.systems.ultrasound.simulation.scatterers import scatterer_regions
 from sonoservo.systems.ultrasound.simulation.structures.structure import Tube
 from sonoservo.systems.ultrasound.simulation.structures.surface import Surface, SurfaceEcho
 from sonoservo.systems.ultrasound.simulation.tissue import Tissue

@@ -27,14 +27,16 @@ from sonoservo.systems.ultrasound.simulation.anatomy.anatomies import (
     LiverAnatomy,
 )
 from sonoservo.systems.ultrasound.simulation.anatomy.label_map import is_label_map
-from sonoservo.systems.ultrasound.simulation.structures.bone import Bone
-from sonoservo.systems.ultrasound.simulation.structures.calcification import Calcification
-from sonoservo.systems.ultrasound.simulation.structures.fascia import Fascia
-from sonoservo.systems.ultrasound.simulation.structures.fat_layer import FatLayer
-from sonoservo.systems.ultrasound.simulation.structures.gas import Gas
-from sonoservo.systems.ultrasound.simulation.structures.n_wires import NWires
-from sonoservo.systems.ultrasound.simulation.structures.resting_needle import RestingNeedle
-from sonoservo.systems.ultrasound.simulation.structures.vessel import Vessel
+from sonoservo.systems.ultrasound.simulation.structures.kinds import (
+    Bone,
+    Calcification,
+    Fascia,
+    FatLayer,
+    Gas,
+    NWires,
+    RestingNeedle,
+    Vessel,
+)
 
 AnyStructure = Bone | Vessel | Fascia | Calcification | Gas | NWires | RestingNeedle
 """Kinds of structures, which the field ``kind`` selects."""
@@ -246,13 +248,7 @@ class Tissue:
     def placed(self, entry: ArrayLike, direction: ArrayLike, layout: int | None = None) -> "Tissue":
         """Return the tissue with its structures moved to their positions beside the needle's path.
 
-        Parameters
-        ----------
-        entry, direction
-            (3,) entry of the needle, in m, and (3,) direction of its axis, both in T.
-        layout
-            Seed of a run, which draws how the positions differ from those stated; see
-            `BesideNeedle.drawn`. None leaves them as stated.
+        The seed of a run, if given, draws a layout; see `BesideNeedle.drawn`.
         """
         structures = self.structures
         if layout is not None:

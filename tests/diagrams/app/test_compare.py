@@ -42,8 +42,9 @@ def test_figures_stand_side_by_side_with_what_was_changed(keep, tmp_path):
         "0.42",
     ]
     assert [seed[each] for each in ("path", "a", "b", "c")] == ["seed", "0", "0", "4"]
-    lines = comparison.plot().axes[3].get_lines()
-    assert [line.get_label() for line in lines] == ["a", "b", "c"]
+    figure = comparison.plot()
+    assert [len(axes.get_lines()) for axes in figure.axes] == 5 * [3]
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["a", "b", "c"]
     assert "imaging.gain" in str(comparison)
     page = (tmp_path / "out" / "report.html").read_text()
     assert "<code>imaging.gain</code>" in page

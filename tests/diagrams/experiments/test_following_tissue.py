@@ -12,8 +12,8 @@ from sonoservo.diagrams.experiments.following_scene import make_scene
 from sonoservo.diagrams.experiments.registry import load_scenario
 from sonoservo.systems.recording.side_files import read_truth
 from sonoservo.systems.robot.phantom_motion import Breathing, PhantomMotionParameters
-from sonoservo.systems.ultrasound.simulation.reaction.needle_drag import NeedleDragParameters
 from sonoservo.systems.ultrasound.simulation.reaction.tissue_reaction import (
+    NeedleDragParameters,
     TissueReactionParameters,
 )
 

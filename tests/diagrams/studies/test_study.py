@@ -14,8 +14,9 @@ import pytest
 
 from sonoservo.diagrams.studies import fingerprint, runs
 from sonoservo.diagrams.studies.fingerprint import code_fingerprint, made_by
-from sonoservo.diagrams.studies.runs import run_cases
+from sonoservo.diagrams.studies.runs import run_cases, run_study
 from sonoservo.diagrams.studies.study import Case, StudyOptions
+from sonoservo.systems.files.refusals import ConfigurationError
 
 
 def square(case):
@@ -51,6 +52,14 @@ def test_results_come_in_the_order_of_the_cases_and_as_json_holds_them(tmp_path,
     assert calls.read_text().split() == ["0", "1", "2"]  # lower seeds are run first
     assert [each.result for each in outcomes] == [{"square": n, "nothing": None} for n in (4, 0, 1)]
     assert all(each and each.wall_s > 0 for each in outcomes)
+
+
+def test_a_part_of_a_study_is_run_alone(tmp_path, calls):
+    cases = [*make_cases(calls), Case("open, x", 7, {"calls": str(calls)})]
+    options = StudyOptions(folder=tmp_path, jobs=1, only="open")
+    assert [each.case for each in run_study(square, cases, options)] == cases[3:]
+    with pytest.raises(ConfigurationError, match="no experiment begins with 'x'; squares, open, x"):
+        run_study(square, cases, StudyOptions(folder=tmp_path, only="x"))
 
 
 def test_what_is_done_is_not_done_again(tmp_path, calls):

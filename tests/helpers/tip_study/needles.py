@@ -16,7 +16,7 @@ from sonoservo.systems.ultrasound.simulation.needles.needle_echo import (
     NeedleEchoParameters,
     reverberations,
 )
-from sonoservo.systems.ultrasound.simulation.rays import projection_rays
+from sonoservo.systems.ultrasound.simulation.pulses import projection_rays
 from sonoservo.systems.ultrasound.simulation.rendering import SweepRenderer
 from sonoservo.systems.ultrasound.simulation.tissue import Tissue
 from sonoservo.systems.ultrasound.transducer import load_transducer

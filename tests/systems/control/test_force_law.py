@@ -42,6 +42,9 @@ def test_contact_has_hysteresis():
         state = next_state(state, force, STEP, parameters)
         seen.append(state.in_contact)
     assert seen == [False, True, True, False, False]
+    for force in (3.0, 0.1):  # contact begins between release and the wanted force
+        with pytest.raises(ValueError, match="touch_force"):
+            ForceControllerParameters(touch_force=force)
 
 
 def test_integral_starts_near_the_wanted_force_and_ends_with_contact():

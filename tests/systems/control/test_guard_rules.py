@@ -4,7 +4,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sonoservo.systems.control.differential_kinematics import keeps_limits
 from sonoservo.systems.control.guard_decision import EMPTY, next_memory, retreat_speed
 from sonoservo.systems.control.guard_parameters import (
     BODY_SPEED,
@@ -173,18 +172,6 @@ def test_a_retreat_keeps_its_limits_and_ends(free):
     assert travelled == pytest.approx(wanted, abs=3e-3)
 
 
-def test_commands_that_jump_or_leave_the_limits_or_are_no_numbers():
-    limits = np.stack([-np.ones(4), np.ones(4), np.full(4, 0.1)])
-    last = np.zeros(6)
-    assert keeps_limits(np.full(4, 0.05), last, limits)
-    for bad in (0.2, 2.0, np.nan):
-        wanted = np.array([0.0, 0.0, 0.0, bad])
-        assert not keeps_limits(wanted, last, limits)
-    unknown = np.full(6, np.nan)
-    assert keeps_limits(np.full(4, 0.9), unknown, limits)
-    assert not keeps_limits(np.full(4, 1.1), unknown, limits)
-
-
 def test_every_cause_has_a_reason_of_its_own():
     memory = EMPTY._replace(wrist_then=12.34, arm_then=2.0)
     reasons = {
@@ -213,28 +200,20 @@ def test_the_time_above_15_n_is_that_of_a_simulated_retreat():
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"max_force": 20.0}, "max_force: 20.0 is not allowed"),
         ({"max_force": 14.0}, "would press with more than 15 N for .* ms, more than 50 ms"),
-        ({"retreat_speed": 1e-4}, "retreat_speed: 0.0001 .* from 0.1 to 0.5"),
         ({"retreat_acceleration": 2.0}, "at 2 m/s.2: a body that rises at 0.1 m/s would press"),
         ({"max_retreat": 1e-4}, "max_retreat: 0.0001 .* from 0.08 to 0.3"),
-        ({"clearance": 0.0}, "clearance: 0.0 .* from 0.01095"),
-        ({"disagreement": 100.0}, "disagreement: 100.0 .* from 1 to 4"),
-        ({"max_depth": 1.0}, "max_depth: 1.0 .* to 0.03"),
         ({"surface": [0.1]}, "surface: "),
         ({"workspace_min": [0, 0, 0], "workspace_max": [1, 1, 0]}, "workspace_min: .* below"),
-        ({"max_tilt_deg": 100.0}, "max_tilt_deg: 100.0"),
     ],
 )
 def test_limits_that_do_not_keep_the_force_are_refused(changes, message):
     with pytest.raises(ValueError, match=message):
         GuardParameters(**changes)
-
-
-def test_the_defaults_keep_the_force_and_the_sensor_has_limits_too():
     assert time_above(10.0, LIMITS.retreat_speed, LIMITS.retreat_acceleration) < LONGEST
-    with pytest.raises(ValueError, match="max_latency: 1.0"):
-        WristSensorLimits(max_latency=1.0)
-    switched_off = replace(LIMITS, wrist_sensor=WristSensorLimits(frozen_after=0.0))
+
+
+def test_a_sensor_without_noise_may_be_frozen():
+    limits = replace(LIMITS, wrist_sensor=WristSensorLimits(frozen_after=0.0))
     sights = [look(number, 2.0, 2.0, **BROKEN["wrist_frozen"]) for number in range(50)]
-    assert set(judged(sights, switched_off)[1]) == {""}
+    assert set(judged(sights, limits)[1]) == {""}

@@ -71,18 +71,6 @@ def test_interaction_matrix_is_the_derivative_of_the_features(x, y, z, theta, di
     np.testing.assert_allclose((ahead - behind) / (2 * h), L @ velocity, atol=1e-7)
 
 
-def test_features_decay_exponentially():
-    X_WP = RigidTransform()
-    p_W, k_W = np.array([0.03, 0.05, -0.02]), np.array([1.0, 0.2, 0.9])
-    start = features_from(X_WP, p_W, k_W)
-    gain, h = 0.8, 4e-3
-    for _ in range(500):
-        velocity = servo_velocity(features_from(X_WP, p_W, k_W), gain=gain)
-        X_WP = moved(X_WP, velocity, h)
-    expected = start * np.exp(-gain * 2)
-    np.testing.assert_allclose(features_from(X_WP, p_W, k_W), expected, rtol=5e-3)
-
-
 def test_rates_keep_centred_what_moves():
     features = np.array([0.01, -0.02, 0.3])
     rates = np.array([0.004, -0.003, 0.1])

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from bicycle_model import BicyclePath
 
-from sonoservo.systems.needle.hand import Hand
 from sonoservo.systems.needle.insertion import Insertion
 from sonoservo.systems.needle.insertion_parameters import FeedParameters, InsertionParameters, Push
 
@@ -50,14 +49,6 @@ def test_frame_of_the_insertion_runs_along_the_tissue_and_looks_down():
     np.testing.assert_allclose(X_TI.rotation().matrix()[:, 2], [1, 0, 0])
     np.testing.assert_allclose(X_TI.rotation().matrix()[:, 1], [0, 0, -1])
     np.testing.assert_allclose(X_TI.translation(), [-0.07, 0.0, -0.03])
-
-
-def test_the_hand_takes_such_an_insertion():
-    hand = Hand(insertion=make())
-    context = hand.CreateDefaultContext()
-    context.SetTime(3.0)
-    needle = hand.GetOutputPort("needle").Eval(context)
-    assert needle.length == pytest.approx(0.03 + 0.002 + 0.01, rel=1e-2)
 
 
 def test_draws_are_within_their_ranges_and_fill_them():
@@ -147,12 +138,6 @@ def test_later_pushes_change_nothing_before_them():
 def test_bad_values_are_named(changes, message):
     with pytest.raises(ValueError, match=message):
         InsertionParameters(**{**BEVEL, "feed": FeedParameters(), **changes})
-
-
-@pytest.mark.parametrize(("field", "value"), [("speed", 0.0), ("depth", -1.0), ("lead", -1e-3)])
-def test_a_bad_feed_is_named(field, value):
-    with pytest.raises(ValueError, match=f"{field}: .* must be"):
-        FeedParameters(**{field: value})
 
 
 def test_a_path_that_turns_back_before_the_feed_ends_is_refused():

@@ -172,17 +172,6 @@ def test_a_needle_turned_half_way_in_follows_the_bicycle_model():
     np.testing.assert_allclose(shaft[:, [2, 1, 0]], closed, atol=1e-12)
 
 
-def test_a_bevel_turned_at_a_depth_is_one_that_the_hand_turns_there():
-    push = Push(duration=5, speed=6e-3)
-    turned = 0.15 * np.sin(30e-3 / 0.15)
-    by_hand = make(**BENT, pushes=[push, Push(), Push(duration=2, turning_deg=90), Push(), push])
-    at_depth = make(**BENT, rotations=[turned], pushes=[push, push])
-    s = np.linspace(0, 60e-3, 13)
-    one, other = (each.needle(60).position(s) for each in (at_depth, by_hand))
-    np.testing.assert_allclose(one, other, atol=5e-6)  # of their chords
-    np.testing.assert_allclose(at_depth.needle(60).tip, by_hand.needle(60).tip, atol=1e-12)
-
-
 def test_a_withdrawn_needle_goes_back_along_its_path():
     out = Push(duration=10, speed=-5e-3)
     insertion = make(

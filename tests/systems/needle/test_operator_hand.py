@@ -2,15 +2,15 @@ import numpy as np
 import pytest
 from pydrake.systems.analysis import Simulator
 
-from sonoservo.systems.needle.insertion import Insertion
-from sonoservo.systems.needle.insertion_parameters import InsertionParameters, Push
-from sonoservo.systems.needle.operator_hand import (
+from sonoservo.systems.needle.hand import (
     OperatorHand,
     OperatorHandParameters,
     OperatorInsertion,
     appended,
     next_push,
 )
+from sonoservo.systems.needle.insertion import Insertion
+from sonoservo.systems.needle.insertion_parameters import InsertionParameters, Push
 
 PARAMETERS = OperatorHandParameters(period=1 / 16, speed=0.02, turning_deg=90)
 

@@ -6,11 +6,9 @@ from pydrake.math import RigidTransform, RotationMatrix
 from scipy.stats import chi2
 
 from sonoservo.diagrams.experiments.shape_prediction_scenario import SHAPE_FILTERS
-from sonoservo.systems.shape.measurement_noise import MeasurementNoise
 from sonoservo.systems.shape.shape_estimator import ShapeEstimator
-from sonoservo.systems.shape.shape_filter import ShapePaths
-from sonoservo.systems.shape.shape_parameters import ShapeEstimatorParameters
-from sonoservo.systems.shape.shape_posterior import WanderParameters
+from sonoservo.systems.shape.shape_filter import ShapeEstimatorParameters, ShapePaths
+from sonoservo.systems.shape.shape_posterior import MeasurementNoise, WanderParameters
 from sonoservo.systems.signals.cross_section import CrossSection
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle_shape import NeedleShape

@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 
 from sonoservo.systems.needle.steered_path import SteeredPath, draw_wander
-from sonoservo.systems.shape.measurement_noise import MeasurementNoise
 from sonoservo.systems.shape.shape_particle_filter import ShapeParticleFilter
 from sonoservo.systems.shape.shape_posterior import (
+    MeasurementNoise,
     ShapeParticleFilterParameters,
     WanderParameters,
     combined_wander,

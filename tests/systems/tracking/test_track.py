@@ -214,15 +214,6 @@ def test_coast_lose_find_again_and_give_up():
     assert modes == ["coasting", "lost", "lost", "searching"]
 
 
-def test_a_measurement_nearby_is_the_same_needle_whatever_the_gate_says():
-    life = lifecycle(gate=0.5, max_jump=4e-3)
-    for y, mode in ((3.9e-3, TrackingMode.TRACKING), (4.1e-3, TrackingMode.COASTING)):
-        after = life.next(tracked(life), 0.3, **NOTHING | {"measurement": measurement(y=y)})
-        assert after.mode == mode
-        assert after.innovation > life.gate
-    assert after.reason.startswith("the measurement is")
-
-
 def test_a_needle_that_comes_out_ends_its_track():
     life = lifecycle(needle_filter=ControlPointFilter())
     track = tracked(life)

@@ -8,8 +8,7 @@ from pydrake.math import RigidTransform
 from sonoservo.systems.signals.image_slice import ImageSlice
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.sweep import Sweep, SweepGeometry, SweepMotion
-from sonoservo.systems.ultrasound.slice_conversion import SliceConversion
-from sonoservo.systems.ultrasound.slice_converter import SliceConverter
+from sonoservo.systems.ultrasound.slice_converter import SliceConversion, SliceConverter
 
 GEOMETRY = SweepGeometry(
     array_radius=0.010,

@@ -8,6 +8,8 @@ The paper leaves some points open. They are decided as follows:
 * Principal components do not determine the sense of u. The mark on a needle's hub does, as it shows
   the side to which the bevel bends. It is the parameter `bevel_direction_deg`. Without it, u points
   to the needle's position at 10 mm.
+* Step 7 updates "all other particles", so those that pass closest stay. Step 9 does not say which
+  particles are removed: those that fit worst.
 * phi is found from all points so far. Section III has it constant, and a constant is the better
   known the more points there are: at 10 mm, the needle is a few hundredths of a millimetre off a
   straight line, and phi would be mostly noise.
@@ -21,12 +23,12 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.systems.shape.shape_filter import ShapePaths
-from sonoservo.systems.shape.shape_filters import ShapeFilterChoice
-from sonoservo.systems.shape.shape_parameters import (
+from sonoservo.systems.shape.shape_filter import (
     MAX_PARTICLES,
     ShapeEstimatorParameters,
+    ShapePaths,
 )
+from sonoservo.systems.shape.shape_filters import ShapeFilterChoice
 from sonoservo.systems.signals.bicycle_paths import deflections
 from sonoservo.systems.signals.immutable import Immutable, NotFound
 from sonoservo.systems.signals.requirements import (
@@ -128,12 +130,15 @@ class PublishedParticleFilter:
         rotations = np.array(parameters.rotations, dtype=float)
         predicted = deflections(shapes, apart[chosen, 2], rotations)
         distance = np.where(np.isfinite(predicted), np.abs(measured - predicted), np.inf)
-        best = particles[distance.argmin(axis=0)].mean(axis=0)
-        # Steps 7 to 9.
-        particles = particles - parameters.gain * (particles - best)
+        closest = distance.argmin(axis=0)
+        best = particles[closest].mean(axis=0)
+        # Step 7 updates all other particles. Steps 8 and 9 replace those that fit worst.
+        gain = np.full((len(particles), 1), parameters.gain)
+        gain[closest] = 0
+        particles = particles - gain * (particles - best)
         mean, std = particles.mean(axis=0), particles.std(axis=0)
-        replaced = rng.choice(len(particles), parameters.replaced, replace=False)
-        particles[replaced] = rng.normal(mean, std, (parameters.replaced, 2))
+        worst = distance.sum(axis=1).argsort(kind="stable")[::-1][: parameters.replaced]
+        particles[worst] = rng.normal(mean, std, (parameters.replaced, 2))
         return PublishedBelief(particles, points, plane)
 
     def represent(self, belief: PublishedBelief, rng: np.random.Generator) -> ShapePaths | NotFound:

@@ -13,11 +13,7 @@ from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_estimate import TrackingMode
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
 from sonoservo.systems.signals.needle_prediction import NeedlePrediction
-from sonoservo.systems.signals.requirements import (
-    Positive,
-    PositiveInt,
-    check_bounds,
-)
+from sonoservo.systems.signals.requirements import PositiveInt, check_bounds
 from sonoservo.systems.signals.velocity_measurement import VelocityMeasurement
 from sonoservo.systems.tracking.needle_filter import NeedleFilter, require_order
 from sonoservo.systems.tracking.track import Track
@@ -33,9 +29,9 @@ class PublishedLifecycle:
     Once the needle is visible with a certain length it is tracked: every measurement corrects the
     filter, without a gate on its innovation. A lost needle is not searched for.
 
-    The paper does not say when a track ends. Here it ends when the needle is shorter than half of
-    what its start takes, or after many volumes without any measurement. Without the first rule, the
-    second insertion of fig. 4 could not be detected. Half, as a needle may be dim in places.
+    The paper does not say when a track ends. Here it ends after many volumes in a row that do not
+    show the needle with `least_length`. Many, as it may be dim for a moment, or leave the region
+    where the phantom is moved.
 
     Parameters
     ----------
@@ -43,10 +39,8 @@ class PublishedLifecycle:
         Number n of control points of the needle's curve.
     needle_filter
         Filter that starts, predicts and updates the track's state.
-    min_length
-        Visible length at which a track starts, in m.
     volumes_to_end
-        Number of successive volumes without a measurement after which the track ends.
+        Number of such volumes after which the track ends.
     """
 
     gate: ClassVar[None] = None
@@ -54,7 +48,6 @@ class PublishedLifecycle:
 
     order: int
     needle_filter: NeedleFilter[Any]
-    min_length: Positive
     volumes_to_end: PositiveInt = 10
 
     def __post_init__(self) -> None:
@@ -97,8 +90,6 @@ class PublishedLifecycle:
             measured, time = measurement, measurement.time
         state = self.needle_filter.predict(track.state, time)
         state = self.needle_filter.update(state, measured, speed)
-        if (state.curve.tip - state.curve.entry) @ _direction(track) < self.min_length / 2:
-            return Track.without_needle(time, "the needle is too short to be tracked")
         if measured is not None:
             return Track.confirmed(state, time)
         missed = track.missed + 1
@@ -133,9 +124,3 @@ class PublishedLifecycle:
             self.needle_filter.start(guess),
             reason="an entry was detected; the needle is not long enough yet",
         )
-
-
-def _direction(track: Track) -> Any:
-    """Return the (3,) direction of a track's needle, from entry to tip."""
-    assert track.state is not None
-    return track.state.curve.direction

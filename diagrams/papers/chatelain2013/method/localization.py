@@ -51,14 +51,14 @@ class PublishedLocalizationParameters(Bounded):
     candidate_volume
         Total volume of the candidate voxels, which fixes their number ``|X_t|``, in m^3.
     margin
-        Margin of the volume of interest around the predicted curve, also beyond its ends, in m.
-    first_margin
-        The same around the entry point, when nothing else is known about the needle, in m.
+        Margin of the volume of interest around the predicted curve, or around the entry point, when
+        nothing else is known about the needle, in m; also beyond its ends. From one volume to the
+        next, the phantom of fig. 6 moves by as much.
     max_angle_deg
         Largest angle alpha_0 from the predicted direction (eq. 22), in degrees.
     min_length
         Visible length from which on a needle is tracked, in m. Around an entry, tissue alone shows
-        lines of 10 to 15 mm.
+        lines of 10 to 15 mm. See `least_length` for later volumes.
     max_gap
         Largest gap in the intensity along the needle that does not end it, in m.
     std
@@ -74,8 +74,7 @@ class PublishedLocalizationParameters(Bounded):
     """
 
     candidate_volume: Positive = 400e-9
-    margin: Positive = 10e-3
-    first_margin: Positive = 20e-3
+    margin: Positive = 20e-3
     max_angle_deg: Positive = 35.0
     min_length: Positive = 20e-3
     max_gap: Positive = 6e-3
@@ -100,9 +99,8 @@ def explain_published_localization(
         return LocalizationExplanation(volume.time, prediction, (), prediction)
     assert prediction.curve is not None
     first = prediction.entry is None
-    margin = parameters.first_margin if first else parameters.margin
     angle = np.pi / 2 if first else np.deg2rad(parameters.max_angle_deg)
-    region = SearchRegion(prediction.curve, margin, margin, margin, margin, float(angle))
+    region = SearchRegion(prediction.curve, *4 * (parameters.margin,), float(angle))
     looked: dict[str, Any] = {}
     result = _localize(volume.at_once(), region, first, parameters, rng, looked)
     attempt = LocalizationAttempt(region, result, **looked)
@@ -145,10 +143,8 @@ def _localize(
     if first and np.linalg.norm(tip[0] - entry) > np.linalg.norm(tip[1] - entry):
         ends = ends[::-1]
     length = float(abs(ends[1] - ends[0]))
-    if first and length < parameters.min_length:
+    if length < least_length(first, parameters.min_length):
         return NotFound(f"only {1e3 * length:.1f} mm of the needle are visible")
-    if length == 0:
-        return NotFound("no intensity along the axis is above that of the surroundings")
     # Control points are uniform along the chord: the entry rests, the tip moves, no point slides.
     curve = NeedleCurve(axis.position(np.linspace(ends[0], ends[1], order)))
     covariance = parameters.std**2 * np.eye(3 * order)
@@ -204,6 +200,14 @@ def _ends(
     bright = profile.seen & (profile.level > surroundings + parameters.end_contrast)
     ends = intensity_drops(profile.a[bright], float(np.median(inliers)), parameters.max_gap)
     return np.array(ends)
+
+
+def least_length(first: bool, min_length: float) -> float:
+    """Return the length in m with which a volume must show a needle: half that of its start.
+
+    Half, as a needle may be dim in places; less would throw the filter's entry forwards.
+    """
+    return min_length if first else min_length / 2
 
 
 def intensity_drops(

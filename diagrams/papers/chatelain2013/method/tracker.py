@@ -80,7 +80,6 @@ def MakeChatelain2013AsPublishedTracker(
             localize=partial(explain_published_localization, parameters=parameters.localization),
             seed=seed,
         ),
-        min_length=parameters.localization.min_length,
         period=period,
         offset=offset,
     )
@@ -94,7 +93,6 @@ def add_published_parts(
     detection: PublishedDetectionParameters,
     needle_filter: NeedleFilter[Any],
     localizer: NeedleLocalizer,
-    min_length: float,
     period: float,
     offset: float,
 ) -> TrackManager:
@@ -104,9 +102,7 @@ def add_published_parts(
     direction are compared, and a lost needle is not looked for.
     """
     events: dict[str, Any] = {"period": period, "offset": offset}
-    lifecycle = PublishedLifecycle(
-        order=parameters.order, needle_filter=needle_filter, min_length=min_length
-    )
+    lifecycle = PublishedLifecycle(order=parameters.order, needle_filter=needle_filter)
     manager = connect_parts(
         builder,
         gate=VolumeGate(parameters=parameters.plausibility, **events),

@@ -134,7 +134,6 @@ def MakeZhao2012AsPublishedTracker(
             localize=partial(explain_whole_volume_localization, parameters=parameters.localization),
             seed=seed,
         ),
-        min_length=parameters.localization.min_length,
         period=period,
         offset=offset,
     )

@@ -5,7 +5,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.diagrams.papers.chatelain2013.method.localization import intensity_drops
+from sonoservo.diagrams.papers.chatelain2013.method.localization import (
+    intensity_drops,
+    least_length,
+)
 from sonoservo.systems.sampling.kernels import chosen_ties
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.localization_explanation import LocalizationExplanation
@@ -57,7 +60,7 @@ class WholeVolumeLocalizationParameters(WholeVolumeRansacParameters):
     Parameters
     ----------
     min_length
-        Visible length from which on a needle is tracked, in m.
+        Visible length from which on a needle is tracked, in m; see `least_length`.
     std
         Standard deviation of the tip and the rear end in every direction, which gives the
         covariance R of eq. 3, in m.
@@ -167,7 +170,7 @@ def explain_whole_volume_localization(
     result: NeedleMeasurement | NotFound
     if isinstance(found, NotFound):
         result = found
-    elif prediction.entry is None and found.tip - found.start < parameters.min_length:
+    elif found.tip - found.start < least_length(prediction.entry is None, parameters.min_length):
         result = NotFound(f"only {1e3 * (found.tip - found.start):.1f} mm of a needle are visible")
     else:
         curve = NeedleCurve(found.fit.axis.position(np.array([found.start, found.tip])))

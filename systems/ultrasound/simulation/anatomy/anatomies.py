@@ -16,7 +16,7 @@ from sonoservo.systems.ultrasound.simulation.anatomy.anatomy_grid import (
     anatomy_grid,
 )
 from sonoservo.systems.ultrasound.simulation.anatomy.label_map import LabelMap, read_label_map
-from sonoservo.systems.ultrasound.simulation.structures.vessel import distance_to_segment
+from sonoservo.systems.ultrasound.simulation.axes import distance_to_segment
 
 LIVER_LABELS = (
     LabelProperties(label=1, name="abdominal wall", level_db=4.0, attenuation=0.6, density=0.5),

@@ -1,4 +1,4 @@
-"""Segmented anatomy as a phantom: acoustic properties of labels, and surfaces between them."""
+"""Anatomy on a grid of labels: scattering, sound, and surfaces between labels."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -11,9 +11,74 @@ from scipy.ndimage import affine_transform, find_objects, gaussian_filter
 from sonoservo.systems.signals.immutable import Immutable
 from sonoservo.systems.signals.requirements import Bounded, Fraction, check_bounds, require, within
 from sonoservo.systems.ultrasound.simulation.anatomy.label_map import LabelMap
-from sonoservo.systems.ultrasound.simulation.anatomy.level_surface import level_surface
 from sonoservo.systems.ultrasound.simulation.structures.structure import Diffuse, Level, Repeated
 from sonoservo.systems.ultrasound.simulation.structures.surface import Surface, SurfaceEcho
+
+_LEAST_SLOPE = 0.02
+
+
+def level_surface(
+    field: NDArray[np.float32], origin: NDArray[np.float64], spacing: float
+) -> Surface:
+    """Extract the surface at which a field is 1/2, with normals towards smaller values.
+
+    Every cell between eight samples in which the field crosses 1/2 gives one piece. Within a cell,
+    the field is taken as linear: f0 + g . x, with x from 0 to 1. The area of its level set is the
+    derivative of the volume below the level (Scardovelli and Zaleski 2000),
+
+        A = |g| / (2 g1 g2 g3) sum over corners s of (-1)^|s| max(c - g . s, 0)^2
+
+    with |g_i| for g_i and c the level above the lowest corner. The areas of a plane's pieces add
+    up to the plane's. The (nx, ny, nz) samples begin at the (3,) origin; lengths are in m.
+    """
+    inside = field > 0.5
+    box = find_objects(inside.astype(np.uint8))
+    if not box or box[0] is None:
+        return Surface(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
+    first = np.array([max(each.start - 2, 0) for each in box[0]])
+    part = tuple(
+        slice(low, min(each.stop + 2, size))
+        for low, each, size in zip(first, box[0], field.shape, strict=True)
+    )
+    field, inside = field[part], inside[part]
+    cells = np.argwhere(_crossed(inside))
+    corners = np.array([field[tuple((cells + s).T)] for s in np.ndindex(2, 2, 2)], dtype=np.float64)
+    signs = 2 * np.array(list(np.ndindex(2, 2, 2))) - 1
+    slope = corners.T @ signs / 4
+    middle = corners.mean(axis=0)
+    steepness = np.maximum(np.linalg.norm(slope, axis=1), 1e-9)
+    normals = -slope / steepness[:, np.newaxis]
+    areas = spacing**2 * _section(np.abs(slope) / steepness[:, None], (0.5 - middle) / steepness)
+    shift = np.clip((middle - 0.5) / steepness, -1, 1)[:, np.newaxis] * normals
+    points = origin + spacing * (cells + first + 0.5 + shift)
+    kept = areas > 0
+    return Surface(points[kept], normals[kept], areas[kept])
+
+
+def _crossed(inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return a mask of the cells whose corners are not all alike."""
+    some, every = inside, inside
+    for axis in range(3):
+        low = [slice(None)] * 3
+        high = [slice(None)] * 3
+        low[axis], high[axis] = slice(None, -1), slice(1, None)
+        some = some[tuple(low)] | some[tuple(high)]
+        every = every[tuple(low)] & every[tuple(high)]
+    return some & ~every
+
+
+def _section(normal: NDArray[np.float64], offset: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the areas in which planes with (n, 3) unit normals >= 0 cut the unit cube.
+
+    ``offset`` are the (n,) distances of the planes from the cube's centre along the normals.
+    """
+    g = np.maximum(normal, _LEAST_SLOPE)
+    level = offset + g.sum(axis=1) / 2
+    total = np.zeros(len(g))
+    for corner in np.ndindex(2, 2, 2):
+        total += (-1) ** sum(corner) * np.maximum(level - g @ np.array(corner), 0) ** 2
+    return np.maximum(np.linalg.norm(g, axis=1) * total / (2 * g.prod(axis=1)), 0)
+
 
 _SMOOTHING = 0.7
 _MARGIN = 4
@@ -82,18 +147,9 @@ class LabelProperties(Bounded):
 
 @dataclass(frozen=True, eq=False)
 class AnatomyGrid(Immutable):
-    """A label map in the tissue frame T.
+    """A label map in the tissue frame T, whose first cube begins at the (3,) origin, in m.
 
-    Parameters
-    ----------
-    numbers
-        (nx, ny, nz) uint8 indices of the cubes' entries in ``properties``.
-    origin, spacing
-        (3,) corner of the first cube in T, and edge of a cube, in m.
-    properties
-        Properties of the labels.
-    surfaces
-        Surfaces of the labels, with their echoes.
+    ``numbers`` are (nx, ny, nz) uint8 indices of the cubes' ``properties``.
     """
 
     numbers: NDArray[np.uint8]
@@ -142,12 +198,8 @@ def anatomy_grid(label_map: LabelMap, parameters: AnatomyParameters) -> AnatomyG
     """Resample a label map to cubes of the tissue frame, and extract the surfaces of its labels.
 
     The label of a cube is the one with the largest smoothed share of the voxels around it, so
-    coarse or oblique voxels leave no visible steps.
-
-    Raises
-    ------
-    ValueError
-        If the map has a label that the table lacks, or is too large.
+    coarse or oblique voxels leave no visible steps. A ValueError names a label that the table
+    lacks, or a map that is too large.
     """
     table = {each.label: each for each in parameters.labels}
     table.setdefault(0, LabelProperties(label=0, name="tissue"))

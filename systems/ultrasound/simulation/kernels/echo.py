@@ -13,12 +13,14 @@ from numpy.typing import NDArray
 
 from sonoservo.systems.sampling.kernels import INNER, OPTIONS
 from sonoservo.systems.ultrasound.simulation.kernels.blocks import (
+    BLOCKS,
+    ScattererTile,
     count_below,
     frame_blocks,
     keep_between,
+    keep_inside,
     misses,
 )
-from sonoservo.systems.ultrasound.simulation.kernels.body import keep_inside
 from sonoservo.systems.ultrasound.simulation.kernels.displacement import (
     displace,
     displacement_limit,
@@ -38,7 +40,6 @@ from sonoservo.systems.ultrasound.simulation.kernels.projection import (
     transformed,
 )
 from sonoservo.systems.ultrasound.simulation.kernels.regions import Regions, weigh_scatterers
-from sonoservo.systems.ultrasound.simulation.kernels.scatterer_tile import BLOCKS, ScattererTile
 from sonoservo.systems.ultrasound.simulation.kernels.vector_addition import LANES, deposit
 
 FADE = 0.1

@@ -7,7 +7,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from sonoservo.systems.sampling.kernels import INNER, OPTIONS
-from sonoservo.systems.ultrasound.simulation.kernels.body import way_through
+from sonoservo.systems.ultrasound.simulation.kernels.blocks import way_through
 
 _LOG2_10 = np.log2(10)
 _SOFT_EDGE = 0.5e-3

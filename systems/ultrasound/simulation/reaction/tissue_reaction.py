@@ -1,24 +1,104 @@
-"""The leaf that lets the tissue react to probe and needle."""
+"""Reaction of the tissue to probe and needle: a leaf, and the needle's drag by stick and slip."""
 
 from dataclasses import dataclass, field
+from typing import Annotated, NamedTuple
 
+import numpy as np
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, DiscreteValues, LeafSystem
 
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.ports import declare_inputs, declare_output, evaluate
-from sonoservo.systems.signals.requirements import Bounded, Fraction, require_positive
+from sonoservo.systems.signals.requirements import (
+    Bounded,
+    Fraction,
+    Positive,
+    require_positive,
+    within,
+)
 from sonoservo.systems.ultrasound.simulation.reaction.deformation import (
     Deformation,
     Indentation,
     indentation,
 )
-from sonoservo.systems.ultrasound.simulation.reaction.needle_drag import (
-    Drag,
-    NeedleDragParameters,
-    advance_drag,
-)
+
+_REST = 1e-9
+
+
+@dataclass(kw_only=True)
+class NeedleDragParameters(Bounded):
+    """Parameters of the friction between needle and tissue.
+
+    Parameters
+    ----------
+    distance
+        Distance in m by which the needle drags tissue at its shaft before it slips; 0 for none.
+    reach
+        Distance from the shaft over which the drag falls to 1/e, in m.
+    kept
+        Share of ``distance`` at which tissue that slides back sticks to the needle again.
+    slip_time
+        Time in s that tissue takes to slide back.
+    relaxation_time
+        Time constant in s with which dragged tissue returns, also while it sticks to the needle.
+    """
+
+    distance: Annotated[float, within(0, 0.02, " m")] = 0.0
+    reach: Annotated[float, within(2e-3, 0.1, " m")] = 8e-3
+    kept: Annotated[float, within(0, 0.95)] = 0.6
+    slip_time: Annotated[float, within(0.01, 10, " s")] = 0.1
+    relaxation_time: Positive = 2.0
+
+
+class Drag(NamedTuple):
+    """State of the tissue at the needle's shaft."""
+
+    distance: float = 0.0
+    """Displacement towards the tip, in m."""
+    slides: bool = False
+    """True while it slides back along the needle."""
+
+
+def advance_drag(
+    drag: Drag, advance: float, duration: float, parameters: NeedleDragParameters
+) -> Drag:
+    """Return the drag after a needle has moved at a constant speed.
+
+    As in Karnopp's friction model of needle insertion (Okamura, Simone and O'Leary 2004), tissue
+    sticks to the needle and moves with it until the elastic force of the displaced tissue, which is
+    proportional to its displacement s, exceeds static friction. It then slides back until the force
+    has fallen to that of sliding friction, and sticks again. Tissue that sticks relaxes with the
+    time constant tau:
+
+        ds/dt = v - s / tau            while |s| < distance,
+        ds/dt = -+ (1 - kept) distance / slip_time     from distance to kept x distance.
+
+    Both are solved in closed form, so the result does not depend on the size of the steps. The
+    needle advances by so many m, negative for a withdrawal, in a duration in s.
+    """
+    most, tau = parameters.distance, parameters.relaxation_time
+    s, slides = drag
+    left = duration
+    speed = advance / duration if duration > 0 else 0.0
+    back = (1 - parameters.kept) * most / parameters.slip_time
+    while left > _REST and most > 0:
+        if slides:
+            needed = (abs(s) - parameters.kept * most) / back
+            step = min(max(needed, 0.0), left)
+            s -= np.sign(s) * back * step
+            slides = needed > left
+        else:
+            rest = speed * tau
+            step = left
+            end = rest + (s - rest) * np.exp(-left / tau)
+            if abs(end) > most:
+                limit = np.sign(end) * most
+                step = min(max(-tau * np.log((limit - rest) / (s - rest)), 0.0), left)
+                end, slides = limit, True
+            s = end
+        left -= step
+    return Drag(float(s), bool(slides))
 
 
 @dataclass(kw_only=True)
@@ -53,19 +133,7 @@ def tissue_deformation(
     dome_radius: float,
     parameters: TissueReactionParameters,
 ) -> Deformation:
-    """Return the deformation of the tissue.
-
-    Parameters
-    ----------
-    needle
-        Needle in T as pushed, possibly empty; see `Deformation`.
-    drag
-        Drag of the tissue by the needle.
-    X_TP, dome_radius
-        Pose of the probe in the tissue, and radius of its dome in m; see `indentation`.
-    parameters
-        Parameters of the reaction.
-    """
+    """Return the deformation by a needle in T as pushed and a probe; see `indentation`."""
     return Deformation(
         indentation(X_TP, dome_radius) if parameters.indentation else Indentation(),
         needle.shaft,

@@ -105,15 +105,7 @@ class BesideNeedle(Bounded):
     def resolve(
         self, entry: ArrayLike, direction: ArrayLike, reach: float = 0.0
     ) -> NDArray[np.float64]:
-        """Return the (3,) position in T, in m, of the centre of a structure.
-
-        Parameters
-        ----------
-        entry, direction
-            (3,) entry of the needle, in m, and (3,) direction of its axis, both in T.
-        reach
-            Distance from the structure's centre to its surface, in m.
-        """
+        """Return the (3,) centre in T, in m, of a structure that reaches so far to its surface."""
         along, across, up = frame_along(np.asarray(direction, dtype=float))
         angle = np.deg2rad(self.angle_deg)
         aside = np.cos(angle) * across + np.sin(angle) * up

@@ -16,15 +16,7 @@ MAX_PIECES = 2_000_000
 
 @dataclass(frozen=True, eq=False)
 class Surface(Immutable):
-    """Pieces of a surface.
-
-    Parameters
-    ----------
-    points, normals
-        (n, 3) centres of the pieces in T, in m, and outward unit normals.
-    areas
-        (n,) areas of the pieces, in m^2.
-    """
+    """Centres of a surface's pieces in T, in m, their outward unit normals, and areas in m^2."""
 
     points: Annotated[NDArray[np.float64], Shape("n", 3)]
     normals: Annotated[NDArray[np.float64], Shape("n", 3)]
@@ -73,17 +65,10 @@ def parametric(
     lengths: tuple[float, float],
     spacing: float,
 ) -> Surface:
-    """Divide a parametric surface into nearly square pieces.
+    """Divide a surface into nearly square pieces at most ``spacing`` m apart.
 
-    Parameters
-    ----------
-    position
-        Function that returns (n, 3) points in m at parameters u and v, (n,) each, from 0 to 1. The
-        normal is the cross product of the derivatives by u and by v.
-    lengths
-        Largest extents along u and v, in m.
-    spacing
-        Largest distance between pieces, in m.
+    ``position`` gives (n, 3) points in m at (n,) parameters u and v from 0 to 1, along which the
+    surface is ``lengths`` m long. The normal is the cross product of its derivatives by u and v.
     """
     counts = [max(int(np.ceil(length / spacing)), 3) for length in lengths]
     require(counts[0] * counts[1] <= MAX_PIECES, "surface", lengths, "smaller, in m")

@@ -153,7 +153,7 @@ def row(study, experiment, quantity):
 
 def test_rows_are_what_the_errors_say(monkeypatch, tmp_path):
     monkeypatch.setattr(
-        zhao2012, "run_cases", lambda *_, **__: outcomes([2.0, 1.0, 0.8, 0.5, 0.4, 0.4])
+        zhao2012, "run_study", lambda *_, **__: outcomes([2.0, 1.0, 0.8, 0.5, 0.4, 0.4])
     )
     study = zhao2012.reproduce(StudyOptions(folder=tmp_path))
     for experiment, published in (("static, fresh speckle", 58), ("dynamic, fresh speckle", 37)):
@@ -185,7 +185,7 @@ def test_failures_and_missing_errors_count_as_the_worst_of_the_others(monkeypatc
     errors = made[1].result["errors"]
     errors[5][0] = [None] * 6
     made[1].result["errors"][6][1] = [3.0] * 6
-    monkeypatch.setattr(zhao2012, "run_cases", lambda *_, **__: made)
+    monkeypatch.setattr(zhao2012, "run_study", lambda *_, **__: made)
     study = zhao2012.reproduce(StudyOptions(folder=tmp_path))
     assert isinstance(study, Study)
     assert study.experiments["dynamic, fresh speckle"]["failed"] == 1

@@ -81,6 +81,19 @@ def test_drakes_own_server_is_hidden(meshcat):
             socket.create_connection((host, meshcat.port()), timeout=5)
 
 
+def test_where_there_is_one_loop_address_only_the_port_is_hidden(monkeypatch):
+    monkeypatch.setattr(meshcat_page, "_random_loop_address", lambda: "192.0.2.7")
+    with Site() as site:
+        meshcat = open_meshcat(site)
+        socket.create_connection(("127.0.0.1", meshcat.port()), timeout=5).close()
+        url = meshcat.web_url()
+        assert b"Drake" in urlopen(url).read()
+        del meshcat
+        site._kept.clear()
+        with closing(open_socket(url)) as page:  # it outlives its Meshcat, and says so
+            assert read_until_closed(page) == []
+
+
 def test_a_page_is_told_everything(meshcat, page):
     meshcat.SetTransform("box", RigidTransform([1, 2, 3]))
     with connection(meshcat) as other:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from renderers import NOWHERE, make_renderer, still
 
-from sonoservo.systems.ultrasound.simulation.structures.fat_layer import FatLayer
+from sonoservo.systems.ultrasound.simulation.structures.kinds import FatLayer
 from sonoservo.systems.ultrasound.simulation.tissue import Tissue
 
 # Across a limb: X_P along Y_T, the face 1 mm above the apex.

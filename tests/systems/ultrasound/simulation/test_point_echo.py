@@ -9,7 +9,7 @@ from renderers import DEEP, DOWN, about, correlation, make_renderer, shift, stil
 
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
 from sonoservo.systems.ultrasound.simulation import frame_renderer
-from sonoservo.systems.ultrasound.simulation.kernels.scatterer_tile import BLOCKS, ScattererTile
+from sonoservo.systems.ultrasound.simulation.kernels.blocks import BLOCKS, ScattererTile
 from sonoservo.systems.ultrasound.simulation.tissue import Ball, Tissue
 from sonoservo.systems.ultrasound.transducer import Transducer
 

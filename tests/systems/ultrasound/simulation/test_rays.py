@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from renderers import make_renderer, still
 
-from sonoservo.systems.ultrasound.simulation.rays import frame_poses, line_rays
+from sonoservo.systems.ultrasound.simulation.pulses import frame_poses, line_rays
 
 
 @pytest.fixture(scope="module")

@@ -12,9 +12,11 @@ from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.sweep import Sweep
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
-from sonoservo.systems.ultrasound.simulation.errors.clock import ClockParameters
-from sonoservo.systems.ultrasound.simulation.errors.connection import ConnectionParameters
-from sonoservo.systems.ultrasound.simulation.errors.motor import MotorParameters
+from sonoservo.systems.ultrasound.simulation.errors import (
+    ClockParameters,
+    ConnectionParameters,
+    MotorParameters,
+)
 from sonoservo.systems.ultrasound.simulation.scanner import Scanner
 from sonoservo.systems.ultrasound.simulation.scanner_parameters import ScannerParameters
 from sonoservo.systems.ultrasound.simulation.tissue import Tissue
@@ -183,28 +185,6 @@ def test_rendering_in_the_background_changes_nothing(monkeypatch):
     monkeypatch.setattr("sonoservo.systems.ultrasound.simulation.rendering.workers", lambda: None)
     for one, other in zip(beside, sweeps(), strict=True):
         np.testing.assert_array_equal(one, other)
-
-
-def test_contact_shows_in_the_image():
-    lifted = RigidTransform(DOWN.rotation(), [0, 0, 0.02])
-    coupled = sweep_at(0.13).samples
-    without = sweep_at(0.13, X_WP=lambda t: lifted).samples
-    assert coupled.mean() > 60
-    assert without.mean() < 10
-
-
-def test_wrong_needle_is_named():
-    scanner = make_scanner()
-    simulator, _ = run(scanner, needle=lambda time: "a needle")
-    with pytest.raises(TypeError, match="'needle'.*expected Needle"):
-        simulator.AdvanceTo(0.1)
-
-
-def test_output_port_alone():
-    """Without a simulation there is a reason instead of a sweep."""
-    scanner = make_scanner()
-    context = scanner.CreateDefaultContext()
-    assert scanner.GetOutputPort("sweep").Eval(context) == NotFound("no sweep is complete yet")
 
 
 def test_true_pose_is_rendered_and_the_measured_one_is_the_label():

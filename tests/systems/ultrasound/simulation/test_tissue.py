@@ -5,8 +5,8 @@ import pytest
 from renderers import DEEP, make_renderer, still
 
 from sonoservo.systems.files.refusals import ConfigurationError
-from sonoservo.systems.ultrasound.simulation.kernels.scatterer_tile import BLOCKS
-from sonoservo.systems.ultrasound.simulation.kernels.scatterer_tile import (
+from sonoservo.systems.ultrasound.simulation.kernels.blocks import BLOCKS
+from sonoservo.systems.ultrasound.simulation.kernels.blocks import (
     scatterer_tile as make_tile,
 )
 from sonoservo.systems.ultrasound.simulation.tissue import (

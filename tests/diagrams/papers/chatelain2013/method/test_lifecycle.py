@@ -14,7 +14,7 @@ from sonoservo.systems.tracking.axis_tip_filter import AxisTipFilter
 from sonoservo.systems.tracking.control_point_filter import ControlPointFilter
 from sonoservo.systems.tracking.track import Track
 
-LIFE = PublishedLifecycle(order=2, needle_filter=ControlPointFilter(), min_length=10e-3)
+LIFE = PublishedLifecycle(order=2, needle_filter=ControlPointFilter())
 NOTHING = NotFound("nothing")
 
 
@@ -66,16 +66,6 @@ def test_a_needle_not_seen_coasts_and_is_given_up_without_a_search():
     assert step(track, 9.0).mode == TrackingMode.SEARCHING
 
 
-def test_the_track_ends_below_half_the_length_of_its_start():
-    track = tracked()
-    for time in np.arange(0.6, 3.0, 0.3):
-        track = step(track, time, measurement=measurement(0.002, time))
-        if not track:
-            break
-    assert track.mode == TrackingMode.SEARCHING
-    assert not track
-
-
 def test_the_filter_must_take_the_order():
     with pytest.raises(ValueError, match="order: 3"):
-        PublishedLifecycle(order=3, needle_filter=AxisTipFilter(), min_length=0.01)
+        PublishedLifecycle(order=3, needle_filter=AxisTipFilter())

@@ -21,8 +21,8 @@ from sonoservo.systems.ultrasound.simulation.anatomy import (
 from sonoservo.systems.ultrasound.simulation.anatomy.anatomy_grid import (
     AnatomyParameters,
     anatomy_grid,
+    level_surface,
 )
-from sonoservo.systems.ultrasound.simulation.anatomy.level_surface import level_surface
 from sonoservo.systems.ultrasound.simulation.rendering import SweepRenderer
 from sonoservo.systems.ultrasound.simulation.tissue import load_tissue
 from sonoservo.systems.ultrasound.transducer import Transducer

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from pydrake.math import RigidTransform, RotationMatrix
 
-from sonoservo.systems.ultrasound.simulation.errors.clock import ClockParameters, poses_at
+from sonoservo.systems.ultrasound.simulation.errors import ClockParameters, poses_at
 
 
 def test_stamps():

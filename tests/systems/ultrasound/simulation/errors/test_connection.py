@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from sonoservo.systems.ultrasound.simulation.errors.connection import (
+from sonoservo.systems.ultrasound.simulation.errors import (
     ConnectionParameters,
     Reception,
     repeat_lost_frames,

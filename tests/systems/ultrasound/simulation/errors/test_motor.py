@@ -6,8 +6,8 @@ from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.sweep import SweepMotion
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
 from sonoservo.systems.ultrasound.simulation.acquisition import acquire_sweep
-from sonoservo.systems.ultrasound.simulation.errors.connection import ConnectionParameters
-from sonoservo.systems.ultrasound.simulation.errors.motor import (
+from sonoservo.systems.ultrasound.simulation.errors import (
+    ConnectionParameters,
     MotorParameters,
     motor_error,
     turned,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sonoservo.systems.signals.body_surface import BodySurface
-from sonoservo.systems.ultrasound.simulation.kernels.body import keep_inside, way_through
+from sonoservo.systems.ultrasound.simulation.kernels.blocks import keep_inside, way_through
 
 BALL = BodySurface([0.2, 0.2, 0.2], "ellipsoid")
 LIMB = BodySurface([0.3, 0.12, 0.12], "cylinder")

@@ -12,16 +12,17 @@ from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
 from sonoservo.systems.ultrasound.simulation.reaction.deformation import (
     Deformation,
-    Indentation,
     displacements,
     indentation,
 )
 from sonoservo.systems.ultrasound.simulation.rendering import SweepRenderer
-from sonoservo.systems.ultrasound.simulation.structures.calcification import Calcification
-from sonoservo.systems.ultrasound.simulation.structures.fascia import Fascia
-from sonoservo.systems.ultrasound.simulation.structures.fat_layer import FatLayer
-from sonoservo.systems.ultrasound.simulation.structures.resting_needle import RestingNeedle
-from sonoservo.systems.ultrasound.simulation.structures.vessel import Vessel
+from sonoservo.systems.ultrasound.simulation.structures.kinds import (
+    Calcification,
+    Fascia,
+    FatLayer,
+    RestingNeedle,
+    Vessel,
+)
 from sonoservo.systems.ultrasound.simulation.tissue import Ball, Tissue
 from sonoservo.systems.ultrasound.transducer import Transducer
 
@@ -131,14 +132,6 @@ def test_tissue_at_rest_is_the_same_for_the_renderer():
     thinned = displacements([Deformation(shaft=long, drag=1e-3)])
     assert thinned.counts[0] < 10
     np.testing.assert_allclose(thinned.shafts[0][[0, -1]], ALONG)
-
-
-@pytest.mark.parametrize(("name", "value"), [("drag_reach", 0.0), ("hole_radius", -1.0)])
-def test_bad_deformations_are_refused_by_name(name, value):
-    with pytest.raises(ValueError, match=f"{name}: .* is not allowed"):
-        Deformation(**{name: value})
-    with pytest.raises(ValueError, match="depth: .* is not allowed"):
-        Indentation(depth=float("nan"))
 
 
 def test_undeformed_tissue_looks_as_if_nothing_could_deform_it(renderer):

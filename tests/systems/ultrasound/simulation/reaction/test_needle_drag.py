@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sonoservo.systems.ultrasound.simulation.reaction.needle_drag import (
+from sonoservo.systems.ultrasound.simulation.reaction.tissue_reaction import (
     Drag,
     NeedleDragParameters,
     advance_drag,
@@ -60,19 +60,3 @@ def test_slow_needle_never_slips_and_a_withdrawn_one_drags_backwards():
 
 def test_without_friction_nothing_is_dragged():
     assert advance_drag(Drag(), 0.03, 1.0, NeedleDragParameters()) == Drag()
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        ("distance", 1.0),
-        ("distance", float("nan")),
-        ("reach", 0.0),
-        ("kept", 1.0),
-        ("slip_time", 0.0),
-        ("relaxation_time", 0.0),
-    ],
-)
-def test_bad_parameters_are_refused_by_name(name, value):
-    with pytest.raises(ValueError, match=f"{name}: .* is not allowed"):
-        NeedleDragParameters(**{name: value})

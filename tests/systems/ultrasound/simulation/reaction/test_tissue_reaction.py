@@ -12,14 +12,12 @@ from speckle_motion import speckle_motion
 from sonoservo.systems.robot.phantom_motion import Breathing
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
-from sonoservo.systems.ultrasound.simulation.reaction.needle_drag import (
+from sonoservo.systems.ultrasound.simulation.reaction.tissue_reaction import (
     Drag,
     NeedleDragParameters,
-    advance_drag,
-)
-from sonoservo.systems.ultrasound.simulation.reaction.tissue_reaction import (
     TissueReaction,
     TissueReactionParameters,
+    advance_drag,
     tissue_deformation,
 )
 from sonoservo.systems.ultrasound.simulation.scanner import Scanner
@@ -106,12 +104,6 @@ def test_needle_and_deformation_are_those_of_the_pure_functions():
     assert read("deformation").indentation == expected.indentation
     np.testing.assert_array_equal(read("needle").shaft, expected.moved_needle(needle).shaft)
     assert read("needle").tip[2] < needle.tip[2] - 0.5e-3
-
-
-@pytest.mark.parametrize("share", [-0.1, 1.1, float("nan")])
-def test_bad_share_is_refused(share):
-    with pytest.raises(ValueError, match="pushed_aside: .* is not allowed"):
-        TissueReactionParameters(pushed_aside=share)
 
 
 def make_scanner():

@@ -1,13 +1,106 @@
-"""Connection from the scanner to the program: what is lost, comes late, or has to wait."""
+"""Errors of a scanner's clock and motor, and of the connection that its sweeps come by."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, Generic, TypeAlias, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+from pydrake.math import RigidTransform
+from pydrake.trajectories import PiecewisePose
 
 from sonoservo.systems.signals.immutable import Immutable, seal
-from sonoservo.systems.signals.requirements import Bound, Bounded, NotNegative
+from sonoservo.systems.signals.requirements import (
+    Bound,
+    Bounded,
+    NotNegative,
+    within,
+)
+from sonoservo.systems.signals.sweep import SweepGeometry
+
+
+@dataclass(kw_only=True)
+class ClockParameters(Bounded):
+    """Scanner's clock, relative to that of arm and program.
+
+    Parameters
+    ----------
+    offset
+        Time by which the scanner's clock is ahead of the arm's, in s.
+    drift
+        Rate at which the scanner's clock gains on the arm's, in s/s; 1e-4 is 100 ppm.
+    """
+
+    offset: Annotated[float, within(-1, 1, " s")] = 0.0
+    drift: Annotated[float, within(-0.01, 0.01)] = 0.0
+
+    @property
+    def is_right(self) -> bool:
+        """True if the clocks agree."""
+        return self.offset == 0 and self.drift == 0
+
+    def stamp(self, time: ArrayLike) -> NDArray[np.float64]:
+        """Return what the scanner's clock says at times in s."""
+        time = np.asarray(time, float)
+        return time + (self.offset + self.drift * time)
+
+
+def poses_at(
+    stamps: NDArray[np.float64], times: ArrayLike, X_WP: Sequence[RigidTransform]
+) -> NDArray[np.float64]:
+    """Return the (frames, 4, 4) poses that a program gives to frames by their stamps in s.
+
+    They are linear in position and along the shortest turn between the (m,) poses at ascending
+    times by the arm's clock, and the nearest one beyond their ends.
+    """
+    path = PiecewisePose.MakeLinear(np.asarray(times), list(X_WP))
+    return np.array([path.GetPose(stamp).GetAsMatrix4() for stamp in stamps])
+
+
+@dataclass(kw_only=True)
+class MotorParameters(Bounded):
+    """Differences between the angle at which a frame is acquired and the angle it is shown at.
+
+    Parameters
+    ----------
+    backlash_deg
+        Play of the sweeping motor's gear, by which sweeps to and fro differ, in deg.
+    error_deg
+        Standard deviation of the sweeping motor's angle at each frame, in deg.
+    """
+
+    backlash_deg: NotNegative = 0.0
+    error_deg: NotNegative = 0.0
+
+
+def motor_error(
+    parameters: MotorParameters, frames: int, direction: int, rng: np.random.Generator
+) -> NDArray[np.float64]:
+    """Return (frames,) angles in rad by which the array is ahead towards +Z of its motor.
+
+    It lags behind by half of the play; the motor of a single frame does not move.
+    """
+    if frames == 1:
+        return np.zeros(1)
+    lag = -0.5 * direction * parameters.backlash_deg
+    return np.deg2rad(lag + parameters.error_deg * rng.standard_normal(frames))
+
+
+def turned(
+    X_TP: NDArray[np.float64], angles: NDArray[np.float64], geometry: SweepGeometry
+) -> NDArray[np.float64]:
+    """Return (frames, 4, 4) poses of a probe turned about its motor's axis, in rad towards +Z.
+
+    A frame acquired from such a pose is the one that the motor's error makes of it.
+    """
+    turn = np.tile(np.eye(4), (len(angles), 1, 1))
+    turn[:, 1, 1] = turn[:, 2, 2] = cosine = np.cos(angles)
+    turn[:, 2, 1] = sine = np.sin(angles)
+    turn[:, 1, 2] = -sine
+    turn[:, 1, 3] = geometry.motor_radius * (cosine - 1)
+    turn[:, 2, 3] = geometry.motor_radius * sine
+    return np.asarray(X_TP @ turn)
+
 
 T = TypeVar("T")
 

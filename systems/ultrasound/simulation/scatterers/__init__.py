@@ -1,5 +1,0 @@
-"""Scatterers other than plain tissue: regions with other statistics, and bright points."""
-
-from lazy_loader import attach_stub
-
-__getattr__, __dir__, __all__ = attach_stub(__name__, __file__)

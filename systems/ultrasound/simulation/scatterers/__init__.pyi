@@ -1,1 +1,0 @@
-from .bright_points import inclusion_points as inclusion_points
