@@ -36,6 +36,18 @@ _LARGEST = 20.0
 """Largest logarithm of a bin's ratio: nothing is gained by more."""
 
 
+@lru_cache(maxsize=2)
+def _hand(modes: int) -> tuple[Floats, Floats]:
+    """Return (m,) probabilities of a hand's first speed, and (m, m) of the next from each."""
+    first = np.full(modes, 0.5 / (modes - 1))
+    first[0] = 0.5
+    leaves = 1 - _KEEPS
+    change = np.full((modes, modes), 0.4 * leaves / max(modes - 2, 1))
+    change[:, 0], change[0] = 0.6 * leaves, leaves / (modes - 1)
+    np.fill_diagonal(change, _KEEPS)
+    return first, change
+
+
 @lru_cache(maxsize=64)
 def _advances(milliseconds: int) -> Floats:
     rows = []
@@ -109,42 +121,38 @@ def _stretches(factors: Any) -> Any:  # pragma: no cover - compiled
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _advancing(  # pragma: no cover - compiled
-    factors: Any, before: Any, beyond: Any, first: Any, moves: Any
+    factors: Any, before: Any, beyond: Any, first: Any, moves: Any, start: Any, change: Any
 ) -> float:
-    """Return the log of the summed probability of all needles that advance along a line.
+    """Return the log of the summed probability of all ends that advance along a line.
 
     Parameters
     ----------
     factors
         (t, b) likelihood ratios of each bin, if it arrived at each time.
     before, beyond
-        (b + 1,) logs of what rests on either side of each place of the tip.
+        (b + 1,) logs of what rests on either side of each place of the end.
     first
-        (b + 1,) prior probabilities of the tip's first place.
+        (b + 1,) prior probabilities of the end's first place.
     moves
-        (m, d) probabilities of a tip's `advances`; the first row is rest.
+        (t, m, d) probabilities of the number of bins that it passes before each time, by speed.
+    start, change
+        (m,) prior probabilities of the first speed, and (m, m) of the next one from each.
     """
     times, bins = factors.shape
-    modes, most = moves.shape
+    modes, most = moves.shape[1:]
     top = before.max()
     tip, mixed = np.zeros((modes, bins + 1)), np.zeros((modes, bins + 1))
     for a in range(bins + 1):
-        one = first[a] * math.exp(before[a] - top)
         for m in range(modes):
-            tip[m, a] = one * (0.5 if m == 0 else 0.5 / (modes - 1))
+            tip[m, a] = start[m] * first[a] * math.exp(before[a] - top)
     result = top
     reached = np.zeros(most)
     for t in range(1, times):
-        for a in range(bins + 1):
-            moving = 0.0
-            for m in range(1, modes):
-                moving += tip[m, a]
-            mixed[0, a] = _KEEPS * tip[0, a] + 0.6 * (1 - _KEEPS) * moving
-            for m in range(1, modes):
-                others = (moving - tip[m, a]) / max(modes - 2, 1)
-                mixed[m, a] = _KEEPS * tip[m, a] + (1 - _KEEPS) * (
-                    tip[0, a] / (modes - 1) + 0.4 * others
-                )
+        mixed[:] = 0
+        for m in range(modes):
+            for n in range(modes):
+                for a in range(bins + 1):
+                    mixed[n, a] += change[m, n] * tip[m, a]
         tip[:] = 0
         total = 0.0
         for a in range(bins + 1):
@@ -156,7 +164,7 @@ def _advancing(  # pragma: no cover - compiled
                 if weight > 0:
                     for d in range(most):
                         if a + d <= bins:
-                            one = weight * moves[m, d] * reached[d]
+                            one = weight * moves[t, m, d] * reached[d]
                             tip[m, a + d] += one
                             total += one
         if total <= 0:
@@ -177,26 +185,16 @@ def _advancing(  # pragma: no cover - compiled
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def class_logs(  # pragma: no cover - compiled
-    logs: Any, riding: Any, appearing: Any, moves: Any
+def _class_logs(  # pragma: no cover - compiled
+    logs: Any, riding: Any, appearing: Any, moves: Any, start: Any, change: Any, passing: Any
 ) -> Any:
-    """Return (n, 5) log evidence of each line: needle either way, resting, riding, appeared.
-
-    Parameters
-    ----------
-    logs
-        (n, t, b) log ratios by time of arrival; see `add_volume`. The first is "always".
-    riding
-        (n, b) log ratios of a line that keeps its place in the image.
-    appearing
-        (t,) prior logarithms of the probability that something appears at each time.
-    moves
-        (m, d) probabilities of a tip's `advances`.
-    """
+    """Return what `class_logs` does; ``start`` and ``change`` as of `_advancing`."""
     count, times, bins = logs.shape
     result = np.full((count, 5), -1e3)
     factors, turned = np.zeros((times, bins)), np.zeros((times, bins))
-    first = np.zeros(bins + 1)
+    first, anywhere = np.zeros(bins + 1), np.full(bins + 1, 1 / (bins + 1))
+    most = moves.shape[2]
+    shift, sure = np.zeros((times, 1, most)), np.ones((1, 1))
     for n in range(count):
         bound = 0.0
         for b in range(bins):
@@ -231,8 +229,44 @@ def class_logs(  # pragma: no cover - compiled
                     break
             first[:] = (1 - _ENTERING) / (bins + 1)
             first[seen] += _ENTERING
-            if way == 0:
-                result[n, 0] = _advancing(one, before, back[::-1], first, moves)
-            else:
-                result[n, 1] = _advancing(one, back, before[::-1], first, moves)
+            sides = (before, back[::-1]) if way == 0 else (back, before[::-1])
+            result[n, way] = _advancing(one, *sides, first, moves, start, change)
+            shift[:] = 0
+            place = 0.0
+            for t in range(times):
+                u = max(passing[n, t] if way == 0 else -passing[n, t], 0.0)
+                step = int(place + u + 0.5) - int(place + 0.5)
+                shift[t, 0, min(step, most - 1)] = 1
+                place += u
+            uncovered = _advancing(one, *sides, anywhere, shift, sure[0], sure) - math.log(2)
+            a, c = max(result[n, 2], uncovered), min(result[n, 2], uncovered)
+            result[n, 2] = a + math.log1p(math.exp(c - a))
+        result[n, 2] -= math.log(2)
     return result
+
+
+def class_logs(
+    logs: Floats, riding: Floats, appearing: Floats, moves: Floats, passing: Floats
+) -> Floats:
+    """Return (n, 5) log evidence of each line: needle either way, resting, riding, appeared.
+
+    What of a smooth line at rest is seen depends on the angle at which sound meets it. So the end
+    of what is seen rests with the line, or it keeps its place in the image while the probe moves
+    along: as probable a priori, in either sense.
+
+    Parameters
+    ----------
+    logs
+        (n, t, b) log ratios by time of arrival; see `add_volume`. The first is "always".
+    riding
+        (n, b) log ratios of a line that keeps its place in the image.
+    appearing
+        (t,) prior logarithms of the probability that something appears at each time.
+    moves
+        (m, d) probabilities of a tip's `advances`.
+    passing
+        (n, t) bins by which a place in the image moved along each line in the tissue before each
+        time.
+    """
+    all_moves = np.broadcast_to(moves, (logs.shape[1], *moves.shape))
+    return np.asarray(_class_logs(logs, riding, appearing, all_moves, *_hand(len(moves)), passing))

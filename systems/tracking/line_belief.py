@@ -34,8 +34,8 @@ from sonoservo.systems.tracking.needle_line import log_odds
 
 Floats = NDArray[np.float64]
 
-_REMEMBERED, _ARRIVALS = 14, 20
-"""Numbers of volumes that a new line is looked for in, and of times of arrival that are told apart:
+_REMEMBERED = 14
+"""Number of volumes that a new line is looked for in, and of times of arrival that are told apart:
 what came before them was always there."""
 
 _SHOWS = 0.7
@@ -118,8 +118,7 @@ class Remembered(Immutable):
 
     def in_image(self, p_T: Floats) -> Floats:
         """Return (n, 3) positions in P, in m, at which the volume shows (n, 3) places in tissue."""
-        times = np.full(len(p_T), self.volume.time)
-        p_P = acquired_from(self.volume, p_T + self._displaced(times))
+        p_P = self.volume.X_WP.inverse().multiply((p_T + self.displacement).T).T
         times = self.volume.to_world(p_P)[1]
         return acquired_from(self.volume, p_T + self._displaced(times))
 
@@ -275,7 +274,7 @@ class LineBelief(Immutable):
         needle = np.logaddexp(lines.classes[:, 0], lines.classes[:, 1])
         looks = lines.looks / np.maximum(lines.looked, 1)
         odds = needle - np.log(-np.expm1(np.minimum(needle, -1e-12)))
-        likes = np.minimum(np.where(lines.looked > 0, looks, 0.0), _BEST_LOOKS)
+        likes = np.minimum(np.where(lines.looked > 0, looks, _NEUTRAL), _BEST_LOOKS)
         odds = odds + likes - _NEUTRAL
         ends = _seen_ends(lines)
         if len(lines):
@@ -312,7 +311,7 @@ def follow(belief: LineBelief, volume: Volume, *, look: bool = False) -> LineBel
     appearing = belief.appearing
     if len(memory) > 1:
         # The oldest arrivals but "always" are forgotten.
-        appearing = (-50.0, *appearing[1:][1 - _ARRIVALS + 1 :], float(np.log(appears)))
+        appearing = (-50.0, *appearing[1:][2 - _REMEMBERED :], float(np.log(appears)))
     lines = _look_on(belief.lines, memory, len(appearing))
     born = belief.born
     needle = _NEEDLES / max(belief.births, _NEEDLES / _MOST_NEEDLES)
@@ -325,7 +324,11 @@ def follow(belief: LineBelief, volume: Volume, *, look: bool = False) -> LineBel
     if len(lines):
         seconds = (memory[-1].volume.time - memory[0].volume.time) / max(len(memory) - 1, 1)
         logs = class_logs(
-            lines.logs, lines.image_logs[:, 0], np.array(appearing), advances(seconds)
+            lines.logs,
+            lines.image_logs[:, 0],
+            np.array(appearing),
+            advances(seconds),
+            _passing(lines, memory, len(appearing)),
         )
         # Needle either way, resting, riding, appeared, nothing.
         joint = np.column_stack([logs, np.zeros(len(lines))])
@@ -333,8 +336,9 @@ def follow(belief: LineBelief, volume: Volume, *, look: bool = False) -> LineBel
         total = np.logaddexp.reduce(joint, axis=1)
         classes = joint - total[:, np.newaxis]
         now = classes[:, [0, 1, 2, 3, 5]]
-        # What appeared rests from then on.
-        now[:, 2] = np.logaddexp(classes[:, 2], classes[:, 4])
+        # What appeared rests from then on. Whether it rides shows only while the probe moves.
+        still = np.logaddexp.reduce(classes[:, 2:5], axis=1)[:, np.newaxis]
+        now[:, 2:4] = still + np.log(_OTHERS[:2] / _OTHERS[:2].sum())
         past = np.concatenate([lines.past[:, 1:], now[:, np.newaxis]], axis=1)
         lines = replace(lines, classes=classes, past=past)
         lines = _judged(lines, memory[-1], fits, look)
@@ -349,6 +353,14 @@ def _motion(memory: Sequence[Remembered]) -> float:
     x, y, z = X.translation()
     turn = float(X.rotation().ToAngleAxis().angle())
     return max(float(np.hypot(x, z)) / _PLACE, abs(y) / _DEPTH, turn / _TURN)
+
+
+def _passing(lines: Lines, memory: Sequence[Remembered], times: int) -> Floats:
+    """Return (n, t) bins by which a place in the image moved along lines before each arrival."""
+    p_P = memory[-1].in_image(lines.points)
+    places = np.array([each.in_tissue(p_P) for each in memory[-times:]])
+    steps = np.einsum("tni,ni->nt", np.diff(places, axis=0), lines.directions) / BIN
+    return np.pad(steps, ((0, 0), (times - steps.shape[1], 0)))
 
 
 def _remember(volume: Volume, memory: Sequence[Remembered]) -> Remembered:

@@ -237,7 +237,7 @@ def _absolutes(experiment: str, errors: Errors) -> list[StudyRow]:
         target = 0 if estimator.startswith("kalman") else None
         found = Value(100 * float(share))
         rows.append(_row(experiment, name, "%", estimator, found, target=target))
-    if experiment.endswith("fresh speckle"):
+    if experiment.endswith("fresh speckle") and errors.lengths[-1] >= LONG:
         worst = errors.rmse()[errors.lengths >= LONG].max(axis=0)
         for quantity, most in (("alpha", 0.6), ("beta", 0.6), ("tip", 0.5)):
             ours, published = (

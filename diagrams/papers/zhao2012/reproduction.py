@@ -61,7 +61,8 @@ def study_cases(options: StudyOptions) -> list[Case]:
     quick = options.quick
     lengths = [5, 12, 20] if quick else list(range(5, 21))
     static = {"lengths_mm": lengths, "volumes": 4 if quick else 5}
-    dynamic = {"speeds_mm_s": PUBLISHED_SPEEDS, "interval_s": INTERVAL}
+    speeds = PUBLISHED_SPEEDS[: 20 if quick else None]
+    dynamic = {"speeds_mm_s": speeds, "interval_s": INTERVAL}
     cases = []
     for seed in options.seed_range(50, 2):
         for name, settings in (("static", static), ("dynamic", dynamic)):

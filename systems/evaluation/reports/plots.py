@@ -200,9 +200,8 @@ def plot_overlay(
             if panel not in named:
                 named[panel] = next(free)
                 title(named[panel], panel, "medium")
-            labelled = {"label": name} if named[panel] is figure.axes[0] else {}
-            style = {"color": COLOURS[number % len(COLOURS)], **labelled, **style}
-            named[panel].plot(x, y, **style)
+            colour = COLOURS[number % len(COLOURS)]
+            named[panel].plot(x, y, **{"color": colour, "label": name, **style})
     figure.axes[-1].set_xlabel(horizontal)
     handles, labels = figure.axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=3, frameon=False)

@@ -87,7 +87,14 @@ def study(kind, seed, recording, *, given=False, say=None):
         lines = belief.hypotheses
         ends = acquired_from(volume, lines.ends.reshape(-1, 3)).reshape(-1, 2, 3)
         right, sure = is_needle(ends, needle), lines.probabilities > ACT
-        false |= set(lines.numbers[sure & ~right])
+        for n in np.flatnonzero(sure & ~right):
+            if say and lines.numbers[n] not in false:
+                say(
+                    f"  {volume.time:5.1f} s: false line {lines.numbers[n]:.0f}, "
+                    f"P {lines.probabilities[n]:.2f}, classes {np.round(lines.classes[n], 2)}, "
+                    f"looks {lines.looks[n]:.1f}, ends {np.round(1e3 * ends[n]).tolist()} mm"
+                )
+            false.add(lines.numbers[n])
         if len(ends):
             best = lines.probabilities.argmax()
             stated.append((lines.probabilities[best], right[best]))

@@ -8,9 +8,9 @@ import numpy as np
 
 from sonoservo.diagrams.benchmark.sequence import load_suites
 from sonoservo.diagrams.experiments.following_scene import make_scene, observer_events
-from sonoservo.diagrams.studies.robustness.graded_dials import scenario_of
 from sonoservo.diagrams.studies.robustness.planned_motion import MotionPlan, simulate_planned
-from sonoservo.diagrams.studies.robustness.runs import at_times, in_frame
+from sonoservo.diagrams.studies.robustness.turned_dials import scenario_of
+from sonoservo.systems.evaluation.run_errors import at_times, in_frame
 from sonoservo.systems.evaluation.run_logger import RunLogger
 from sonoservo.systems.evaluation.success import conspicuous_length
 from sonoservo.systems.recording.volume_collector import VolumeCollector
@@ -39,7 +39,7 @@ WITHDRAWN = (
 KINDS = {
     "clinic": ("clinic", MotionPlan, (), None),
     "moving": ("clinic", SearchingPlan, ("hand.start=8.0",), None),
-    "free": ("clinic", SearchingPlan, (FREE,), 40.0),
+    "free": ("clinic", SearchingPlan, (FREE,), 20.0),
     "faint": ("faint", MotionPlan, ("scanner.needle.specular_db=28.0",), None),
     "fast": ("fast", MotionPlan, (), None),
     "wire": ("guide wire", MotionPlan, (), None),

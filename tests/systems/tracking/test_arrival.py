@@ -24,10 +24,13 @@ def bernoulli_chain(factors):
     return logsumexp(logs) if logs else 0.0
 
 
-def advancing(factors, moves, seen):
-    """Log of the sum over all paths of a tip, mode and place at each time, by their prior."""
+def advancing(factors, moves, seen=None):
+    """Log of the sum over all paths of a tip, mode and place at each time, by their prior.
+
+    Without the first bin that is seen, it begins anywhere, with one mode of moves for each time.
+    """
     times, bins = factors.shape
-    modes = len(moves)
+    modes = 1 if seen is None else len(moves)
 
     def before(a):
         return bernoulli_chain(factors[0, :a]) if a else 0.0
@@ -35,7 +38,12 @@ def advancing(factors, moves, seen):
     def beyond(a):
         return bernoulli_chain(factors[0, a:][::-1]) if a < bins else 0.0
 
+    def move(t, m, d):
+        return moves[t, d] if seen is None else moves[m, d]
+
     def switch(m, n):
+        if modes == 1:
+            return 1.0
         if m == n:
             return arrival._KEEPS
         leaves = 1 - arrival._KEEPS
@@ -48,14 +56,23 @@ def advancing(factors, moves, seen):
         steps = np.diff(places)
         if (steps < 0).any() or (steps >= moves.shape[1]).any():
             continue
-        first = (1 - arrival._ENTERING) / (bins + 1) + arrival._ENTERING * (places[0] == seen)
+        enters = 0.0 if seen is None else arrival._ENTERING
+        first = (1 - enters) / (bins + 1) + enters * (places[0] == seen)
         came = sum(np.log(factors[t, places[t - 1] : places[t]]).sum() for t in range(1, times))
         for path in product(range(modes), repeat=times):
-            p = first * (0.5 if path[0] == 0 else 0.5 / (modes - 1))
+            p = first * (0.5 if path[0] == 0 else 0.5 / (modes - 1)) if modes > 1 else first
             for t in range(1, times):
-                p *= switch(path[t - 1], path[t]) * moves[path[t], steps[t - 1]]
+                p *= switch(path[t - 1], path[t]) * move(t, path[t], steps[t - 1])
+            if p == 0:
+                continue
             logs.append(np.log(p) + came + before(places[0]) + beyond(places[-1]))
     return logsumexp(logs)
+
+
+def shifts(passing, most=3):
+    """(t, d) probabilities that the end of what is seen passes d bins, if it stays in the image."""
+    places = np.floor(np.cumsum(np.maximum(passing, 0.0)) + 0.5).astype(int)
+    return np.eye(most)[np.diff(places, prepend=0)]
 
 
 def test_classes_are_the_sums_over_all_histories(monkeypatch):
@@ -66,7 +83,8 @@ def test_classes_are_the_sums_over_all_histories(monkeypatch):
     appearing = np.log([1e-20, 0.01, 0.02, 0.03])
     logs, riding = rng.normal(0.5, 2.0, (2, times, bins)), rng.normal(0.0, 2.0, (2, bins))
     logs[1, 0, 0] = 0.0  # not seen
-    found = class_logs(logs, riding, appearing, moves)
+    passing = np.array([[0.0, 1.0, 0.4, -0.7], [0.0, 0.0, 0.0, 0.0]])
+    found = class_logs(logs, riding, appearing, moves, passing)
     for n in range(2):
         factors = np.exp(arrival._SHARE * logs[n])
         seen = [int(np.flatnonzero(each != 1)[0]) for each in (factors[0], factors[0, ::-1])]
@@ -74,7 +92,14 @@ def test_classes_are_the_sums_over_all_histories(monkeypatch):
         expected = [
             advancing(factors, moves, seen[0]),
             advancing(factors[:, ::-1], moves, seen[1]),
-            bernoulli_chain(factors[0]),
+            logsumexp(
+                [
+                    bernoulli_chain(factors[0]),
+                    advancing(factors, shifts(passing[n])) - np.log(2),
+                    advancing(factors[:, ::-1], shifts(-passing[n])) - np.log(2),
+                ]
+            )
+            - np.log(2),
             bernoulli_chain(np.exp(arrival._SHARE * riding[n])),
             logsumexp(at_once),
         ]
@@ -123,6 +148,8 @@ def kymograph(kind, times=16, bins=40):
             there[0, t, bins - max(0, 2 * (t - 5)) :] = True
         elif kind == "resting":
             there[0, t, 8:26] = True
+        elif kind == "uncovered":  # as the probe moves along
+            there[0, t, 4 : 4 + 2 * t] = True
         elif kind == "riding":  # it passes along the line in the tissue, and rests in the image
             there[0, t, 8 if t > 3 else 26 : 26] = t % 4 == 0
             there[1, t, 8:26] = True
@@ -134,7 +161,7 @@ def kymograph(kind, times=16, bins=40):
 KINDS = ("needle", "needle the other way", "resting", "riding", "appeared", "nothing")
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", [*KINDS, "uncovered"])
 def test_a_kymograph_shows_what_a_line_is(kind):
     here, riding = kymograph(kind)
     times, bins = here.shape
@@ -148,7 +175,8 @@ def test_a_kymograph_shows_what_a_line_is(kind):
         add_volume(image_shown, image_logs, riding[[t]], seen, RENEWED, 0.6, SHOWS)
     appearing = np.log(np.full(times, PRIOR))
     appearing[0] = -50.0
-    classes = class_logs(logs[:, :times], image_logs[:, 0], appearing, advances(0.3))[0]
+    passing = np.full((1, times), 2.0 if kind == "uncovered" else 0.0)
+    classes = class_logs(logs[:, :times], image_logs[:, 0], appearing, advances(0.3), passing)[0]
     classes = np.append(classes, 0.0)
-    assert KINDS[int(classes.argmax())] == kind
+    assert KINDS[int(classes.argmax())] == kind.replace("uncovered", "resting")
     assert classes.max() > np.sort(classes)[-2] + 0.5

@@ -31,7 +31,7 @@ def pushed(time):
 
 @lru_cache
 def volumes(needle, moving):
-    """Speckle and a wire that rest in W, and a needle; the probe rests, or moves along X."""
+    """Speckle and a wire that rest in W, and a needle; the probe rests, or moves against X."""
     rng = np.random.default_rng(5)
     sigma = np.array([1.9e-3, 0.45e-3, 2.3e-3]) / 2.355 / SPACING
     shape = (SHAPE[0] + COUNT, *SHAPE[1:])
@@ -45,7 +45,7 @@ def volumes(needle, moving):
         if needle:
             amplitude = amplitude + line(p_W, *pushed(PERIOD * n), lambda s: 8.0)
         grey = np.clip((20 * np.log10(np.abs(amplitude) + 1e-6) + 14) * 255 / 60, 1, 255)
-        first = n * moving
+        first = (COUNT - 1 - n) * moving
         images.append(
             Volume(
                 grey[first : first + SHAPE[0]].astype(np.uint8), np.zeros(3), np.full(3, SPACING),
