@@ -66,39 +66,44 @@ def advances(seconds: float) -> Floats:
     return _advances(max(round(1e3 * seconds), 1))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def add_volume(  # pragma: no cover - compiled
-    shown: Any, logs: Any, ratios: Any, seen: Any, renewed: float, temper: float, prior: float
+def add_volume(
+    logs: Floats,
+    ratios: Floats,
+    repeats: Floats,
+    seen: NDArray[np.bool_],
+    renewed: float,
+    prior: float,
 ) -> None:
     """Add a volume to what is known of when each bin of each line arrived.
 
+    What a bin shows is drawn anew, or it repeats itself: then it says nothing new, whatever is
+    there. Only what arrives with the volume is drawn in any case, so a bin that changes has either
+    just arrived or been drawn anew.
+
     Parameters
     ----------
-    shown
-        (n, t, b) probabilities that a bin which arrived at one of t times shows itself; changed.
     logs
-        (n, t, b) log ratios of all contrasts since then, there against not there; changed.
-    ratios, seen
-        (n, b) log ratios of the volume's contrasts, shown against nothing, and flags of the bins
-        that are seen.
+        (n, t, b) log ratios of all contrasts since the bin arrived at one of t times, there against
+        not there; changed. The first time stands for "always", the last one for this volume's.
+    ratios
+        (n, b) log ratios of the volume's contrasts, shown against nothing.
+    repeats
+        (n, b) densities of a repetition of the last volume's contrast, relative to nothing's; NaN
+        where that was not seen.
+    seen
+        (n, b) flags of the bins that are seen.
     renewed
-        Share of what shows itself that is drawn anew since the last volume.
-    temper
-        Share of the volume that is new evidence.
+        Probability that a bin is drawn anew since the last volume.
     prior
         Probability that a bin that is there shows itself.
     """
-    for n in range(len(ratios)):
-        for b in range(ratios.shape[1]):
-            if not seen[n, b]:
-                continue
-            factor = math.exp(temper * ratios[n, b])
-            for t in range(shown.shape[1]):
-                p = shown[n, t, b]
-                p += renewed * (prior - p)
-                total = p * factor + 1 - p
-                logs[n, t, b] += math.log(total)
-                shown[n, t, b] = p * factor / total
+    drawn = prior * np.exp(ratios) + 1 - prior
+    first = np.isnan(repeats)
+    anew, same = np.where(first, 1.0, renewed), np.where(first, 0.0, (1 - renewed) * repeats)
+    nothing = anew + same
+    logs[:, 1:][:, -1:] += np.where(seen, np.log(drawn / nothing), 0.0)[:, np.newaxis]
+    earlier = logs[:, : max(logs.shape[1] - 1, 1)]
+    earlier += np.where(seen, np.log((anew * drawn + same) / nothing), 0.0)[:, np.newaxis]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -27,6 +27,7 @@ from sonoservo.systems.tracking.line_contrast import (
     contrasts_and_sides,
     line_contrasts,
     log_ratio,
+    repeat_ratio,
     stretches,
 )
 from sonoservo.systems.tracking.line_fit import FittedLine, brightness, fitted_lines
@@ -41,13 +42,8 @@ what came before them was always there."""
 _SHOWS = 0.7
 """Probability that a bin of a line shows itself: speckle and shadows hide the others."""
 
-_RENEWED, _RENEWED_BY_MOTION = 0.03, 0.06
-"""Share of what shows itself that is drawn anew from one volume to the next, while the probe rests,
-and per unit of its motion."""
-
-_NEW_AT_REST, _NEW_IN_MOTION = 0.4, 0.3
-"""Share of a volume's evidence that is new: at rest its speckle repeats itself, and in motion the
-error with which a line is followed does."""
+_RENEWED = 0.03
+"""Probability that a bin is drawn anew from one volume to the next while the probe rests."""
 
 _PLACE, _DEPTH, _TURN = 2e-3, 6e-3, np.deg2rad(2.0)
 """Unit of the probe's motion between two volumes: across its axis and along it in m, and turn in
@@ -56,9 +52,9 @@ rad, after which half of the speckle is new."""
 _OTHERS = np.array([0.7, 0.1, 0.2])
 """Prior probabilities of a line that is no needle: resting, riding, and nothing but speckle."""
 
-_NEEDLES, _MOST_NEEDLES = 0.02, 0.02
-"""Number of needles that come with a volume, and largest prior probability that a new line is one:
-the more lines come, the fewer of them are needles."""
+_NEEDLES, _MOST_NEEDLES = 0.002, 0.002
+"""Number of needles that come with a volume, one in some minutes, and largest prior probability
+that a new line is one: the more lines come, the fewer of them are needles."""
 
 _BIRTHS = 0.05
 """Share of a volume in the average number of lines that come with one."""
@@ -143,12 +139,14 @@ class Lines:
         (n, 2) abscissae in m between which a line was seen.
     image_points, image_directions
         (n, 3) the same of the line that keeps its place in the image, in P.
-    shown, logs
+    logs
         (n, t, BINS) see `add_volume`.
     sides
         (n, BINS) level beside each bin in dB, while nothing shadows it.
-    image_shown, image_logs
+    image_logs
         (n, 1, BINS) the same along the line that keeps its place in the image.
+    image_contrasts
+        (n, BINS) contrasts along it in the newest volume in dB; NaN where it is not seen.
     contrasts, seen
         (n, BINS) contrasts in the newest volume in dB, and flags of what is seen.
     prominence
@@ -172,11 +170,10 @@ class Lines:
     spans: Floats
     image_points: Floats
     image_directions: Floats
-    shown: Floats
     logs: Floats
     sides: NDArray[np.float32]
-    image_shown: Floats
     image_logs: Floats
+    image_contrasts: NDArray[np.float32]
     contrasts: NDArray[np.float32]
     seen: NDArray[np.bool_]
     prominence: Floats
@@ -213,8 +210,8 @@ def _new_lines(ends: Floats, ends_P: Floats, numbers: Floats, times: int) -> Lin
     image_points, image_directions, _ = line(ends_P)
     return Lines(
         points, directions, 0.5 * length * [-1.0, 1.0], image_points, image_directions,
-        np.full((n, times, BINS), _SHOWS), np.zeros((n, times, BINS)),
-        np.zeros((n, BINS), np.float32), np.full((n, 1, BINS), _SHOWS), np.zeros((n, 1, BINS)),
+        np.zeros((n, times, BINS)), np.zeros((n, BINS), np.float32), np.zeros((n, 1, BINS)),
+        np.full((n, BINS), np.nan, np.float32),
         np.zeros((n, BINS), np.float32), np.zeros((n, BINS), bool),
         np.zeros(n), np.zeros(n), np.zeros(n), numbers, np.zeros((n, 1 + len(LINE_CLASSES))),
         np.zeros((n, 5)), np.zeros((n, _REMEMBERED, 5)),
@@ -403,17 +400,18 @@ def _shown_at(lines: Lines, each: Remembered) -> tuple[Any, Any, Any, Any, Any]:
 def _add(lines: Lines, memory: Sequence[Remembered], begun: int) -> None:
     """Add the newest of some volumes to what is known of lines, for the arrivals so far."""
     motion = _motion(memory)
-    renewed = min(_RENEWED + _RENEWED_BY_MOTION * motion, 0.3)
-    new = _NEW_IN_MOTION if motion > 0.5 else _NEW_AT_REST
+    renewed = max(_RENEWED, 1 - 0.5**motion)
     contrasts, sides, seen, riding, riding_seen = _shown_at(lines, memory[-1])
     lines.sides[:] = np.where(seen, np.maximum(lines.sides - _LIGHTER, sides), lines.sides)
     seen = seen & (sides > lines.sides - _SHADOWED)
-    shown, logs = lines.shown[:, :begun], lines.logs[:, :begun]
-    add_volume(shown, logs, log_ratio(contrasts), seen, renewed, new, _SHOWS)
-    add_volume(
-        lines.image_shown, lines.image_logs, log_ratio(riding), riding_seen, renewed, new, _SHOWS
-    )
+    logs = lines.logs[:, :begun]
+    before = np.where(lines.seen, lines.contrasts, np.float32(np.nan))
+    repeats = repeat_ratio(contrasts, before)
+    add_volume(logs, log_ratio(contrasts), repeats, seen, renewed, _SHOWS)
+    repeats = repeat_ratio(riding, lines.image_contrasts)
+    add_volume(lines.image_logs, log_ratio(riding), repeats, riding_seen, renewed, _SHOWS)
     lines.contrasts[:], lines.seen[:] = contrasts, seen
+    lines.image_contrasts[:] = np.where(riding_seen, riding, np.nan)
 
 
 def _look_on(lines: Lines, memory: Sequence[Remembered], times: int) -> Lines:
@@ -422,14 +420,11 @@ def _look_on(lines: Lines, memory: Sequence[Remembered], times: int) -> Lines:
     kept = np.r_[0, before - times + 2 : before] if before >= times else np.arange(before)
     lines = replace(
         lines,
-        shown=np.concatenate([lines.shown[:, kept], np.full((n, 1, BINS), _SHOWS)], axis=1)
-        if times > 1
-        else lines.shown.copy(),
         logs=np.concatenate([lines.logs[:, kept], np.zeros((n, 1, BINS))], axis=1)
         if times > 1
         else lines.logs.copy(),
-        image_shown=lines.image_shown.copy(),
         image_logs=lines.image_logs.copy(),
+        image_contrasts=lines.image_contrasts.copy(),
         sides=lines.sides.copy(),
         contrasts=lines.contrasts.copy(),
         seen=lines.seen.copy(),

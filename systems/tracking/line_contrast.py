@@ -40,6 +40,9 @@ _DARKEST = -8.0
 _SUREST = 3.3
 """Largest logarithm of the ratio: what one bin can tell, given structures that nobody modelled."""
 
+_REPEATED = 1.5
+"""Standard deviation in dB of a contrast that repeats itself: noise, and a sweep's other time."""
+
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _core(intensities: Any, x: float, y: float, z: float, across: Any) -> float:
@@ -280,6 +283,13 @@ def log_ratio(contrast: Any) -> Any:  # pragma: no cover - compiled
     contrast = max(contrast, _DARKEST)
     ratio = _density(contrast, _LINE) / _density(contrast, _NOTHING)
     return min(max(math.log(max(ratio, 1e-30)), -_SUREST), _SUREST)
+
+
+@vectorize(["float64(float32, float32)", "float64(float64, float64)"], cache=True)
+def repeat_ratio(contrast: Any, before: Any) -> Any:  # pragma: no cover - compiled
+    """Return the density of a contrast in dB that repeats the one before, relative to nothing's."""
+    nothing = _density(max(contrast, _DARKEST), _LINE) / math.exp(log_ratio(contrast))
+    return math.exp(-0.5 * ((contrast - before) / _REPEATED) ** 2) / _REPEATED / nothing
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -8,6 +8,7 @@ from scipy.special import logsumexp
 
 from sonoservo.systems.tracking import arrival
 from sonoservo.systems.tracking.arrival import add_volume, advances, class_logs
+from sonoservo.systems.tracking.line_contrast import log_ratio, repeat_ratio
 
 SHOWS, RENEWED, PRIOR = 0.7, 0.03, 0.002
 
@@ -106,25 +107,39 @@ def test_classes_are_the_sums_over_all_histories(monkeypatch):
         np.testing.assert_allclose(found[n], expected, rtol=1e-9, atol=1e-9)
 
 
-def test_a_bin_shows_itself_as_a_hidden_chain_of_two_states():
+def test_a_bin_repeats_itself_or_is_drawn_anew():
     rng = np.random.default_rng(0)
-    ratios = rng.normal(0.0, 1.5, 6)
-    shown, logs = np.full((1, 1, 1), SHOWS), np.zeros((1, 1, 1))
-    for ratio in ratios:
-        add_volume(shown, logs, np.array([[ratio]]), np.ones((1, 1), bool), 0.1, 0.6, SHOWS)
-    # Each state stays, or is drawn anew.
-    total = 0.0
-    for pattern in product((0, 1), repeat=len(ratios)):
-        p = np.prod(np.exp(0.6 * ratios)[np.array(pattern, bool)])
-        last = None
-        for state in pattern:
-            drawn = SHOWS if state else 1 - SHOWS
-            p *= drawn if last is None else 0.9 * (state == last) + 0.1 * drawn
-            last = state
-        total += p
-    assert logs.item() == pytest.approx(np.log(total))
+    ratios, repeats = rng.normal(0.0, 1.5, 6), np.exp(rng.normal(0.0, 1.0, 6))
+    repeats[0] = np.nan  # nothing was seen before
+    logs, seen = np.zeros((1, 6, 1)), np.ones((1, 1), bool)
+    for t in range(6):
+        here = np.array([[ratios[t]]]), np.array([[repeats[t]]])
+        add_volume(logs[:, : t + 1], *here, seen, RENEWED, SHOWS)
+
+    def likelihood(arrived):
+        """Sum over all histories: anew or the same, shown or hidden whenever drawn."""
+        total = 0.0
+        for later, shown in product(product((0, 1), repeat=5), product((0, 1), repeat=6)):
+            anew, p = (1, *later), 1.0
+            for t in range(6):
+                if t == arrived > 0:
+                    p *= anew[t]
+                elif t > 0:
+                    p *= RENEWED if anew[t] else 1 - RENEWED
+                if not anew[t]:
+                    p *= repeats[t] * (not shown[t])  # not drawn: counted once
+                elif t >= arrived:
+                    p *= SHOWS * np.exp(ratios[t]) if shown[t] else 1 - SHOWS
+                else:
+                    p *= not shown[t]
+            total += p
+        return total
+
+    for arrived in (0, 3):
+        expected = np.log(likelihood(arrived) / likelihood(6))
+        assert logs[0, arrived, 0] == pytest.approx(expected)
     before = logs.copy()
-    add_volume(shown, logs, np.array([[9.0]]), np.zeros((1, 1), bool), 0.1, 0.6, SHOWS)
+    add_volume(logs, np.array([[9.0]]), np.array([[1.0]]), ~seen, RENEWED, SHOWS)
     np.testing.assert_array_equal(logs, before)
 
 
@@ -138,7 +153,7 @@ def test_a_tip_advances_by_what_its_speed_says():
 
 
 def kymograph(kind, times=16, bins=40):
-    """(t, b) log ratios of contrasts that a line of a kind gives along itself, and those riding."""
+    """(t, b) contrasts in dB that a line of a kind gives along itself, and those riding."""
     rng = np.random.default_rng(5)
     there = np.zeros((2, times, bins), bool)
     for t in range(times):
@@ -155,7 +170,7 @@ def kymograph(kind, times=16, bins=40):
             there[1, t, 8:26] = True
         elif kind == "appeared":
             there[0, t, 8:26] = t > 5
-    return np.where(there, 2.0, -1.5) + rng.normal(0.0, 0.7, there.shape)
+    return np.where(there, 8.0, -1.5) + rng.normal(0.0, 0.7, there.shape)
 
 
 KINDS = ("needle", "needle the other way", "resting", "riding", "appeared", "nothing")
@@ -165,14 +180,18 @@ KINDS = ("needle", "needle the other way", "resting", "riding", "appeared", "not
 def test_a_kymograph_shows_what_a_line_is(kind):
     here, riding = kymograph(kind)
     times, bins = here.shape
-    shown, logs = np.full((1, times + 1, bins), SHOWS), np.zeros((1, times + 1, bins))
-    image_shown, image_logs = np.full((1, 1, bins), SHOWS), np.zeros((1, 1, bins))
+    logs, image_logs = np.zeros((1, times + 1, bins)), np.zeros((1, 1, bins))
     seen = np.ones((1, bins), bool)
+    before = np.full((2, 1, bins), np.nan)
+    renewed = 0.5 if kind in ("riding", "uncovered") else RENEWED  # the probe moves
     for t in range(times):
         # Row 0 stands for always, and row t for what came with the volume t.
-        rows = slice(0, t + 1)
-        add_volume(shown[:, rows], logs[:, rows], here[[t]], seen, RENEWED, 0.6, SHOWS)
-        add_volume(image_shown, image_logs, riding[[t]], seen, RENEWED, 0.6, SHOWS)
+        for rows, shown, last in zip(
+            (logs[:, : t + 1], image_logs), (here[[t]], riding[[t]]), before, strict=True
+        ):
+            repeats = repeat_ratio(shown, last)
+            add_volume(rows, log_ratio(shown), repeats, seen, renewed, SHOWS)
+            last[:] = shown
     appearing = np.log(np.full(times, PRIOR))
     appearing[0] = -50.0
     passing = np.full((1, times), 2.0 if kind == "uncovered" else 0.0)
