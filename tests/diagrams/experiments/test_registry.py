@@ -4,7 +4,7 @@ import json
 import sys
 from dataclasses import dataclass
 from types import ModuleType
-from typing import Annotated, ClassVar
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ from sonoservo.diagrams.experiments import registry
 from sonoservo.diagrams.experiments.experiment import Experiment
 from sonoservo.diagrams.experiments.presenter import Presenter
 from sonoservo.diagrams.scenario import Scenario
-from sonoservo.systems.evaluation.log import Array, Column, Log, read_log
+from sonoservo.systems.evaluation.log import Array, Log, column, read_log
 
 
 @dataclass(kw_only=True)
@@ -30,7 +30,7 @@ class TickingScenario(Scenario):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class TickingLog(Log):
-    time: Annotated[Array, Column("time of the tick", "s", ("n",))]
+    time: Array = column("time of the tick", "s", "n")
 
 
 class Clock(LeafSystem):
