@@ -34,7 +34,7 @@ def click(page, image, p_P):
 def test_a_run_starts_where_somebody_clicked(scenario, open_page, tmp_path, monkeypatch):
     addresses, clicked = queue.Queue(), queue.Queue()
     monkeypatch.setattr(
-        first_click, "announce", lambda terminal, words, address, **_: addresses.put(address)
+        first_click, "announce", lambda terminal, words, address, page: addresses.put(address)
     )
     terminal = Terminal(file=io.StringIO())
     threading.Thread(

@@ -147,7 +147,11 @@ def test_a_filter_is_chosen_by_name_or_by_its_tracker():
             ["tracker.filter.kind=axis_tips"],
             "tracker.filter: unknown kind 'axis_tips'; did you mean 'axis_tip'?",
         ),
-        ("drive", ["hand.speed=0.1"], "hand.speed: unknown field; did you mean 'hand.pushes.0.speed'"),
+        (
+            "drive",
+            ["hand.speed=0.1"],
+            "hand.speed: unknown field; did you mean 'hand.pushes.0.speed'",
+        ),
     ],
 )
 def test_mistakes_are_one_clear_line(name, changes, message):
