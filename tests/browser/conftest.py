@@ -22,9 +22,13 @@ KNOWN_WARNINGS = (
 )
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def browser():
-    """A headless Chromium that draws WebGL without a graphics chip."""
+    """A headless Chromium that draws WebGL without a graphics chip.
+
+    Playwright's loop runs in the thread of the tests as long as it is open, and keeps out the loops
+    of other modules' clients.
+    """
     installed = shutil.which("chromium") or shutil.which("chromium-browser")
     arguments = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader"]
     with sync_playwright() as playwright:
