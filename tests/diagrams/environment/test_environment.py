@@ -82,7 +82,7 @@ def test_random_actions_end_in_no_error_and_below_the_limit_of_the_force():
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(100, 110))
 def test_ten_thousand_random_actions_end_in_no_error(seed):
-    env, rng = gymnasium.make(ENVIRONMENT, randomize=1.0), np.random.default_rng(seed)
+    env, rng = make(randomize=1.0), np.random.default_rng(seed)
     env.reset(seed=seed)
     largest, ends, action = 0.0, Counter(), np.zeros(4, np.float32)
     for _ in range(1000):
