@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from collections import Counter
 from functools import partial
 
 import gymnasium
@@ -80,14 +81,21 @@ def test_random_actions_end_in_no_error_and_below_the_limit_of_the_force():
 
 
 @pytest.mark.slow
-def test_ten_thousand_random_actions_end_in_no_error():
-    env, rng = make(randomize=1.0), np.random.default_rng(6)
-    env.reset(seed=100)
-    for _ in range(10_000):
-        *_, ended, cut, info = env.step(rng.uniform(-1, 1, 4).astype(np.float32))
-        assert info["contact_force"] < 10
+@pytest.mark.parametrize("seed", range(100, 110))
+def test_ten_thousand_random_actions_end_in_no_error(seed):
+    env, rng = make(randomize=1.0), np.random.default_rng(seed)
+    env.reset(seed=seed)
+    largest, ends, action = 0.0, Counter(), np.zeros(4, np.float32)
+    for _ in range(1000):
+        if rng.random() < 0.3:  # kept for a second: what is drawn anew each time leads nowhere
+            action = rng.choice([rng.uniform(-1, 1, 4), rng.choice([-1, 1], 4)]).astype(np.float32)
+        *_, ended, cut, info = env.step(action)
+        largest = max(largest, info["contact_force"])
         if ended or cut:
+            ends[info.get("end") or "cut"] += 1
             env.reset()
+    print(f"seed {seed}: {largest:.2f} N, {dict(ends)}")
+    assert largest < 10  # the guard's limit
 
 
 def test_environments_run_in_processes_of_their_own_found_by_the_room_s_name():
