@@ -9,5 +9,7 @@ os.environ["SONOSERVO_QUICK"] = " ".join(
         "hand.pushes.0.speed=0.02",
         "station.probe.height=0.004",
         "station.plant.contact_model=point",
+        "imaging.sector=0.5",
+        "imaging.frames=11",
     ]
 )

@@ -318,7 +318,7 @@ def test_interruption_ends_at_once_and_leaves_what_is_valid(recording, tmp_path)
             table = tmp_path / "estimates.csv"
             wait_until(lambda: table.is_file() and len(rows_of(tmp_path)) >= 2, 60)
             tracking.send_signal(signal.SIGINT)
-            printed, _ = tracking.communicate(timeout=20)
+            printed, _ = tracking.communicate(timeout=60)
     assert tracking.returncode == 0
     assert "from the last byte to the estimate sent" in " ".join(printed.split())
     assert all(None not in row.values() for row in rows_of(tmp_path))
