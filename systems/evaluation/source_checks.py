@@ -319,8 +319,8 @@ def check_delay(found: tuple[float, float] | NotFound) -> list[Finding]:
 
 
 def _late(delay: float, half: float) -> str:
-    ends = f"{1e3 * (delay - half):.0f} to {1e3 * (delay + half):.0f}"
-    return f"poses are late by {1e3 * delay:.0f} ms (95 %: {ends})"
+    middle, low, high = (round(1e3 * each) for each in (delay, delay - half, delay + half))
+    return f"poses are late by {middle} ms (95 %: {low} to {high})"
 
 
 def sort_findings(findings: Sequence[Finding]) -> list[Finding]:
