@@ -321,7 +321,7 @@ def set_rows(name: str, outcomes: Sequence[Outcome]) -> list[StudyRow]:
                 continue
             shares = shares if method == OURS else shares[:1]
             needles.row(stated, "%", *shares, target=90.0, wanted="at least")
-            needles.row(f"{stated}, not too wide", "%", *shares, target=99.0)
+            needles.row(f"{stated}, not too wide", "%", shares[0], target=99.0)
     if printed:
         for part, label in _PARTS.items():
             median = Value(None, _figure(np.median, needles.compute(part, "median")))
