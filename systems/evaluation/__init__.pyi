@@ -3,7 +3,6 @@ from .log import Column as Column
 from .log import Log as Log
 from .log import read_log as read_log
 from .log import write_log as write_log
-from .metrics import MetricsParameters as MetricsParameters
 from .metrics import summarize as summarize
 from .reports.movie import write_movie as write_movie
 from .reports.plots import plot_errors as plot_errors
