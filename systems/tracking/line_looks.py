@@ -52,7 +52,6 @@ _WEIGHTS = {
     "width": 1.44,
     "aside": -2.04,
     "around": -19.78,
-    "above": 0.24,
     "outside": 14.72,
     "behind": -0.65,
     "border": -1.27,
@@ -61,7 +60,7 @@ _WEIGHTS = {
 """Weights of a line's looks in the logarithm of the odds that it is the needle of a volume, rather
 than that there is none, if every second volume has one. They are those of a conditional logit (a
 volume has one needle or none) on the lines of own scans and painted images, seeds 1000 to 1259, two
-of three, made and fitted by ``python -m looks_study`` (tests/helpers)."""
+of three, made and fitted by ``python -m looks_study`` (tests/tools)."""
 
 
 def line_looks(
@@ -122,7 +121,6 @@ def line_looks(
         "width": np.ones(len(ends)) * np.clip(_relative_width(blur, section[:, _WIDTH]), *_WIDTHS),
         "aside": np.maximum(beside[:, _ASIDE], beside[:, _OTHER_SIDE]),
         "around": np.sort(beside, axis=1)[:, -2],
-        "above": farther[:, _ABOVE],
         "outside": np.median(farther, axis=1),
         "behind": _limited(above - far_below, 0, 8) / 2,
         "border": (_limited(below - above - 4, 0, 12) / 4) ** 2,
