@@ -1,4 +1,4 @@
-"""Volume on a Cartesian grid: swept, or reconstructed from frames; and the check before a tracker."""
+"""Volume on a Cartesian grid, swept or reconstructed; and the check of those before a tracker."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
