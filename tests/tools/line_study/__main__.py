@@ -7,7 +7,7 @@ from unittest import mock
 
 import numpy as np
 
-from sonoservo.systems.signals.acquisition import acquired_from
+from sonoservo.systems.signals.volume import acquired_from
 from sonoservo.systems.tracking import line_belief
 from sonoservo.systems.tracking.line_belief import LineBelief, follow
 from sonoservo.systems.tracking.line_fit import FittedLine, fitted_lines
