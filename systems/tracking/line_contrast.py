@@ -1,7 +1,7 @@
 """Contrast of a line with what lies beside it, and what it tells about the line."""
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit, vectorize
@@ -40,8 +40,8 @@ _DARKEST = -8.0
 _SUREST = 3.3
 """Largest logarithm of the ratio: what one bin can tell, given structures that nobody modelled."""
 
-_REPEATED = 1.5
-"""Standard deviation in dB of a contrast that repeats itself: noise, and a sweep's other time."""
+_ROUNDS = 12
+"""Rounds of expectation and maximisation in `change_between`, by which it has settled."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -88,15 +88,13 @@ def _line_contrasts(  # pragma: no cover - compiled
 
     Returns
     -------
-    (n, count) grey levels of the core above the second brightest of eight sectors of the ring, that
-    sector's level, and (n, count) flags of the bins that are seen. A sheet has two sectors as
-    bright as the line.
+    (n, count) grey levels of the core above the second brightest of eight sectors of the ring, and
+    that sector's level; NaN where they are not seen. A sheet has two sectors as bright as the line.
     """
     nx, ny, nz = intensities.shape
-    contrasts = np.zeros((len(starts), count), np.float32)
-    beside = np.zeros((len(starts), count), np.float32)
-    seen = np.zeros((len(starts), count), np.bool_)
-    core, sides = np.zeros(count), np.zeros((count, 8))
+    contrasts = np.full((len(starts), count), np.nan, np.float32)
+    beside = np.full((len(starts), count), np.nan, np.float32)
+    seen, core, sides = np.zeros(count, np.bool_), np.zeros(count), np.zeros((count, 8))
     valid = np.zeros((count, 8), np.int64)
     offsets = np.zeros((8, 3))
     for n in range(len(starts)):
@@ -105,7 +103,7 @@ def _line_contrasts(  # pragma: no cover - compiled
             for axis in range(3):
                 offsets[s, axis] = c * across[n, 0, axis] + d * across[n, 1, axis]
         for b in range(count):
-            seen[n, b], core[b] = True, 0.0
+            seen[b], core[b] = True, 0.0
             for half in range(2):
                 a = b + 0.5 * half - 0.25
                 x = starts[n, 0] + a * steps[n, 0]
@@ -115,18 +113,18 @@ def _line_contrasts(  # pragma: no cover - compiled
                     not (1 <= x <= nx - 2 and 1 <= y <= ny - 2 and 1 <= z <= nz - 2)
                     or not (volume_seen[int(x + 0.5), int(y + 0.5), int(z + 0.5)])
                 ):
-                    seen[n, b] = False
+                    seen[b] = False
                     break
                 core[b] += 0.1 * _core(intensities, x, y, z, across[n])
             for s in range(8):
                 valid[b, s], sides[b, s] = 0, 0.0
-                if seen[n, b]:
+                if seen[b]:
                     x = starts[n, 0] + b * steps[n, 0] + offsets[s, 0]
                     y = starts[n, 1] + b * steps[n, 1] + offsets[s, 1]
                     z = starts[n, 2] + b * steps[n, 2] + offsets[s, 2]
                     sides[b, s], valid[b, s] = _side(intensities, volume_seen, x, y, z)
         for b in range(count):
-            if seen[n, b]:
+            if seen[b]:
                 first, last = max(b - _AVERAGED, 0), min(b + _AVERAGED + 1, count)
                 brightest, second = 0.0, 0.0
                 for s in range(8):
@@ -141,7 +139,7 @@ def _line_contrasts(  # pragma: no cover - compiled
                         elif total > second:
                             second = total
                 contrasts[n, b], beside[n, b] = core[b] - second, second
-    return contrasts, beside, seen
+    return contrasts, beside
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -198,8 +196,8 @@ def across(directions: Floats) -> Floats:
 
 def line_contrasts(
     volume: Volume, points: Floats, directions: Floats
-) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Return the contrasts along lines in a volume, and where they are seen.
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return the contrasts along lines in a volume, and the levels beside them.
 
     Parameters
     ----------
@@ -210,17 +208,10 @@ def line_contrasts(
 
     Returns
     -------
-    (n, BINS) levels in dB above the second brightest side, and (n, BINS) flags of what is seen.
+    (n, BINS) levels in dB above the second brightest side, and (n, BINS) levels of that; NaN where
+    they are not seen.
     """
-    contrasts, _, seen = contrasts_and_sides(volume, points, directions)
-    return contrasts, seen
-
-
-def contrasts_and_sides(
-    volume: Volume, points: Floats, directions: Floats
-) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_]]:
-    """Return what `line_contrasts` does, with the (n, BINS) levels of the sides in dB between."""
-    contrasts, beside, seen = _line_contrasts(
+    contrasts, beside = _line_contrasts(
         volume.intensities,
         volume.seen,
         volume.index(points + MIDDLES[0] * directions),
@@ -229,7 +220,7 @@ def contrasts_and_sides(
         BINS,
     )
     scale = np.float32(volume.decibels_per_level)
-    return contrasts * scale, beside * scale, seen
+    return contrasts * scale, beside * scale
 
 
 def cross_sections(
@@ -280,16 +271,72 @@ def _density(contrast: float, parts: Any) -> float:  # pragma: no cover - compil
 @vectorize(["float64(float32)", "float64(float64)"], cache=True)
 def log_ratio(contrast: Any) -> Any:  # pragma: no cover - compiled
     """Return the logarithm of the likelihood ratio of a contrast in dB: a line against nothing."""
+    if math.isnan(contrast):
+        return math.nan
     contrast = max(contrast, _DARKEST)
     ratio = _density(contrast, _LINE) / _density(contrast, _NOTHING)
     return min(max(math.log(max(ratio, 1e-30)), -_SUREST), _SUREST)
 
 
-@vectorize(["float64(float32, float32)", "float64(float64, float64)"], cache=True)
-def repeat_ratio(contrast: Any, before: Any) -> Any:  # pragma: no cover - compiled
-    """Return the density of a contrast in dB that repeats the one before, relative to nothing's."""
+class Change(NamedTuple):
+    """How contrasts change from one volume to the next.
+
+    Parameters
+    ----------
+    renewed
+        Share of them that are drawn anew: other speckle, a shadow, a surface that shines.
+    deviation
+        Standard deviation in dB of those that repeat themselves: noise, and what the place from
+        which they are taken is out by.
+    """
+
+    renewed: float
+    deviation: float
+
+
+ALL_NEW = Change(1.0, 1.0)
+"""What is shown where nothing was shown before."""
+
+
+@vectorize(["float64(float32)", "float64(float64)"], cache=True)
+def _anew(contrast: Any) -> Any:  # pragma: no cover - compiled
+    """Return the density of a contrast in dB of which nothing is known, up to a constant."""
+    contrast = max(contrast, _DARKEST)
+    return 0.5 * (_density(contrast, _LINE) + _density(contrast, _NOTHING))
+
+
+def change_between(before: NDArray[Any], contrasts: NDArray[Any]) -> Change:
+    """Return the `Change` between contrasts at the same places in two volumes.
+
+    Parameters
+    ----------
+    before, contrasts
+        Contrasts in dB in the earlier and in the later volume, of one shape; NaN where they were
+        not seen. The result starts from one contrast of either kind that differs by 1 dB.
+    """
+    steps = np.asarray(contrasts - before, np.float64)
+    both = np.isfinite(steps)
+    if not both.any():
+        return ALL_NEW
+    anew, squares = _anew(contrasts[both]), steps[both] ** 2
+    renewed, variance = 0.5, float(np.median(squares)) + 1 / len(squares)
+    for _ in range(_ROUNDS):
+        same = (1 - renewed) * np.exp(-0.5 * squares / variance) / math.sqrt(variance)
+        repeats = 1 - renewed * anew / (renewed * anew + same)
+        total = float(repeats.sum())
+        renewed = (1 + len(squares) - total) / (2 + len(squares))
+        variance = (1 + float(repeats @ squares)) / (1 + total)
+    return Change(renewed, math.sqrt(variance))
+
+
+@vectorize(["float64(float32, float32, float64)", "float64(float64, float64, float64)"], cache=True)
+def repeat_ratio(contrast: Any, before: Any, deviation: Any) -> Any:  # pragma: no cover - compiled
+    """Return the density of a contrast in dB that repeats the one before, relative to nothing's.
+
+    The standard deviation of a repetition is that of a `Change`.
+    """
     nothing = _density(max(contrast, _DARKEST), _LINE) / math.exp(log_ratio(contrast))
-    return math.exp(-0.5 * ((contrast - before) / _REPEATED) ** 2) / _REPEATED / nothing
+    return math.exp(-0.5 * ((contrast - before) / deviation) ** 2) / deviation / nothing
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -311,6 +358,6 @@ def best_stretches(evidence: Any) -> Any:  # pragma: no cover - compiled
     return firsts, lasts, sums
 
 
-def stretches(contrasts: NDArray[Any], seen: NDArray[np.bool_]) -> Any:
+def stretches(contrasts: NDArray[Any]) -> Any:
     """Return `best_stretches` by the `log_ratio`; what is not seen is weak evidence against it."""
-    return best_stretches(np.where(seen, log_ratio(contrasts), -0.5))
+    return best_stretches(np.nan_to_num(log_ratio(contrasts), nan=-0.5))
