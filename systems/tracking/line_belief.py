@@ -26,8 +26,9 @@ from sonoservo.systems.tracking.line_contrast import (
     BINS,
     MIDDLES,
     Change,
+    LineLevels,
     change_between,
-    line_contrasts,
+    line_levels,
     log_ratio,
     repeat_ratio,
     stretches,
@@ -60,6 +61,10 @@ _MISTAKEN = 0.02
 _SHADOWED, _LIGHTER = 10.0, 0.5
 """Fall of the level beside a bin in dB by which something shadows it, so that it tells nothing, and
 by how much that level may fall from volume to volume without a shadow."""
+
+_APPEARS = 0.1
+"""How much rarer a line appears at once than one of its bins is drawn anew: a specular surface comes
+into view, or a shadow goes. Measured in volumes without a needle, at rest and in motion."""
 
 _NEUTRAL, _BEST_LOOKS, _MOST_LOOKS = -4.0, 2.0, (-20.0, 4.0)
 """Log odds of a line's looks that speak neither for nor against a needle that moves like one (of
@@ -141,10 +146,10 @@ class Lines:
         (n, BINS) level beside each bin in dB, while nothing shadows it.
     image_logs
         (n, 1, BINS) the same along the line that keeps its place in the image.
-    image_contrasts
-        (n, BINS) contrasts along it in the newest volume in dB; NaN where it is not seen.
-    contrasts
-        (n, BINS) contrasts in the newest volume in dB; NaN where it is not seen.
+    image_levels
+        (n, BINS) levels along it in the newest volume in dB; NaN where it is not seen.
+    levels, contrasts
+        (n, BINS) the same of the line in the tissue, and contrasts.
     prominence
         (n,) evidence for a line, whatever it is, averaged over the last volumes.
     looks, looked
@@ -169,7 +174,8 @@ class Lines:
     logs: Floats
     sides: NDArray[np.float32]
     image_logs: Floats
-    image_contrasts: NDArray[np.float32]
+    image_levels: NDArray[np.float32]
+    levels: NDArray[np.float32]
     contrasts: NDArray[np.float32]
     prominence: Floats
     looks: Floats
@@ -206,7 +212,7 @@ def _new_lines(ends: Floats, ends_P: Floats, numbers: Floats, times: int) -> Lin
     return Lines(
         points, directions, 0.5 * length * [-1.0, 1.0], image_points, image_directions,
         np.zeros((n, times, BINS)), np.zeros((n, BINS), np.float32), np.zeros((n, 1, BINS)),
-        np.full((n, BINS), np.nan, np.float32), np.full((n, BINS), np.nan, np.float32),
+        *np.full((3, n, BINS), np.nan, np.float32),
         np.zeros(n), np.zeros(n), np.zeros(n), numbers, np.zeros((n, 1 + len(LINE_CLASSES))),
         np.zeros((n, 5)), np.zeros((n, _REMEMBERED, 5)),
     )  # fmt: skip
@@ -286,14 +292,14 @@ def follow(belief: LineBelief, volume: Volume, *, look: bool = False) -> LineBel
     shown = _shown_at(belief.lines, memory[-1])
     newest = replace(
         memory[-1],
-        change=change_between(belief.lines.contrasts, shown.contrasts),
-        image_change=change_between(belief.lines.image_contrasts, shown.image_contrasts),
+        change=change_between(shown.along, belief.lines.levels),
+        image_change=change_between(shown.riding, belief.lines.image_levels),
     )
     memory = (*memory[:-1], newest)
     appearing = belief.appearing
     if len(memory) > 1:
-        # The oldest arrivals but "always" are forgotten. A line appears at once as a bin does.
-        appears = float(np.log(newest.change.renewed))
+        # The oldest arrivals but "always" are forgotten.
+        appears = float(np.log(_APPEARS * newest.change.renewed))
         appearing = (-50.0, *appearing[1:][2 - _REMEMBERED :], appears)
     lines = _look_on(belief.lines, shown, newest, len(appearing))
     born = belief.born
@@ -359,14 +365,10 @@ def _remember(volume: Volume, memory: Sequence[Remembered]) -> Remembered:
 
 
 class _Shown(NamedTuple):
-    """What a volume shows along n lines in the tissue, and along those in the image.
+    """What a volume shows along lines in the tissue, and along those in the image."""
 
-    (n, BINS) contrasts, NaN where they are not seen, and levels beside, in dB.
-    """
-
-    contrasts: NDArray[np.float32]
-    sides: NDArray[np.float32]
-    image_contrasts: NDArray[np.float32]
+    along: LineLevels
+    riding: LineLevels
 
 
 def _shown_at(lines: Lines, each: Remembered) -> _Shown:
@@ -375,23 +377,31 @@ def _shown_at(lines: Lines, each: Remembered) -> _Shown:
     p_P = each.in_image(np.concatenate([lines.points - reach, lines.points + reach]))
     along = p_P[n:] - p_P[:n]
     along /= np.linalg.norm(along, axis=1, keepdims=True)
-    here = line_contrasts(each.volume, 0.5 * (p_P[:n] + p_P[n:]), along)
-    riding = line_contrasts(each.volume, lines.image_points, lines.image_directions)
-    return _Shown(*here, riding[0])
+    here = line_levels(each.volume, 0.5 * (p_P[:n] + p_P[n:]), along)
+    riding = line_levels(each.volume, lines.image_points, lines.image_directions)
+    return _Shown(here, riding)
 
 
+@np.errstate(invalid="ignore")
 def _add(lines: Lines, shown: _Shown, each: Remembered, begun: int) -> None:
     """Add what a volume shows to what is known of lines, for the arrivals so far."""
-    lighter = np.maximum(lines.sides - _LIGHTER, shown.sides)
-    lines.sides[:] = np.where(np.isnan(shown.sides), lines.sides, lighter)
-    lit = np.where(shown.sides > lines.sides - _SHADOWED, shown.contrasts, np.float32(np.nan))
+    beside = shown.along.levels - shown.along.contrasts
+    lighter = np.maximum(lines.sides - _LIGHTER, beside)
+    lines.sides[:] = np.where(np.isnan(beside), lines.sides, lighter)
+    lit = shown.along.where(beside > lines.sides - _SHADOWED)
     for logs, before, now, change in (
-        (lines.logs[:, :begun], lines.contrasts, lit, each.change),
-        (lines.image_logs, lines.image_contrasts, shown.image_contrasts, each.image_change),
+        (lines.logs[:, :begun], lines.levels, lit, each.change),
+        (lines.image_logs, lines.image_levels, shown.riding, each.image_change),
     ):
-        repeats = repeat_ratio(now, before, change.deviation)
-        add_volume(logs, log_ratio(now), repeats, change.renewed, _SHOWS)
-    lines.contrasts[:], lines.image_contrasts[:] = lit, shown.image_contrasts
+        add_volume(
+            logs,
+            log_ratio(now.contrasts),
+            repeat_ratio(now, before, change),
+            change.renewed,
+            _SHOWS,
+        )
+        before[:] = now.levels
+    lines.contrasts[:] = lit.contrasts
 
 
 def _look_on(lines: Lines, shown: _Shown, newest: Remembered, times: int) -> Lines:
@@ -404,8 +414,9 @@ def _look_on(lines: Lines, shown: _Shown, newest: Remembered, times: int) -> Lin
         if times > 1
         else lines.logs.copy(),
         image_logs=lines.image_logs.copy(),
-        image_contrasts=lines.image_contrasts.copy(),
         sides=lines.sides.copy(),
+        image_levels=lines.image_levels.copy(),
+        levels=lines.levels.copy(),
         contrasts=lines.contrasts.copy(),
     )
     if n == 0:
@@ -507,9 +518,9 @@ def _backwards(lines: Lines) -> NDArray[np.bool_]:
 
 
 def _judged(lines: Lines, newest: Remembered, fits: Sequence[FittedLine], look: bool) -> Lines:
-    """Return lines with the looks of those that move like a needle, or of all prominent ones."""
+    """Return lines with the looks of those that these can make a needle, or of all prominent ones."""
     needle = np.logaddexp(lines.classes[:, 0], lines.classes[:, 1])
-    judged = np.arange(len(lines)) < _JUDGED if look else needle > np.log(0.1)
+    judged = np.arange(len(lines)) < _JUDGED if look else needle > _NEUTRAL - _BEST_LOOKS
     looks, looked = lines.looks.copy(), lines.looked.copy()
     ends = newest.in_image(_seen_ends(lines).reshape(-1, 3)).reshape(-1, 2, 3)
     backwards = _backwards(lines)

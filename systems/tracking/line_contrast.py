@@ -41,7 +41,7 @@ _SUREST = 3.3
 """Largest logarithm of the ratio: what one bin can tell, given structures that nobody modelled."""
 
 _ROUNDS = 12
-"""Rounds of expectation and maximisation in `change_between`, by which it has settled."""
+"""Rounds after which `change_between` has settled."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -70,10 +70,10 @@ def _side(intensities: Any, volume_seen: Any, x: float, y: float, z: float) -> A
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _line_contrasts(  # pragma: no cover - compiled
+def _line_levels(  # pragma: no cover - compiled
     intensities: Any, volume_seen: Any, starts: Any, steps: Any, across: Any, count: int
 ) -> Any:
-    """Return the contrasts of lines, in grey levels, and where they are seen.
+    """Return the levels of lines, and beside them; NaN where they are not seen.
 
     Parameters
     ----------
@@ -88,11 +88,11 @@ def _line_contrasts(  # pragma: no cover - compiled
 
     Returns
     -------
-    (n, count) grey levels of the core above the second brightest of eight sectors of the ring, and
-    that sector's level; NaN where they are not seen. A sheet has two sectors as bright as the line.
+    (n, count) grey levels of the core, and of the second brightest of eight sectors of the ring. A
+    sheet has two sectors as bright as the line.
     """
     nx, ny, nz = intensities.shape
-    contrasts = np.full((len(starts), count), np.nan, np.float32)
+    levels = np.full((len(starts), count), np.nan, np.float32)
     beside = np.full((len(starts), count), np.nan, np.float32)
     seen, core, sides = np.zeros(count, np.bool_), np.zeros(count), np.zeros((count, 8))
     valid = np.zeros((count, 8), np.int64)
@@ -138,8 +138,8 @@ def _line_contrasts(  # pragma: no cover - compiled
                             brightest, second = total, brightest
                         elif total > second:
                             second = total
-                contrasts[n, b], beside[n, b] = core[b] - second, second
-    return contrasts, beside
+                levels[n, b], beside[n, b] = core[b], second
+    return levels, beside
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -148,7 +148,7 @@ def _cross_sections(  # pragma: no cover - compiled
 ) -> Any:
     """Return mean levels on circles around lines, and the shares of them that are seen.
 
-    Arguments as of `_line_contrasts`, and (r,) radii of the circles in m. Returns (n,) grey levels
+    Arguments as of `_line_levels`, and (r,) radii of the circles in m. Returns (n,) grey levels
     of the cores, (n, r, 8) of the sectors, and (n, r, 8) shares.
     """
     lines, circles = len(starts), len(radii)
@@ -194,10 +194,27 @@ def across(directions: Floats) -> Floats:
     return np.moveaxis(np.array(sides), 2, 0)
 
 
-def line_contrasts(
-    volume: Volume, points: Floats, directions: Floats
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return the contrasts along lines in a volume, and the levels beside them.
+class LineLevels(NamedTuple):
+    """What a volume shows along n lines.
+
+    Parameters
+    ----------
+    levels
+        (n, BINS) levels of the line in dB; NaN where they are not seen.
+    contrasts
+        (n, BINS) the same above the second brightest side.
+    """
+
+    levels: NDArray[np.float32]
+    contrasts: NDArray[np.float32]
+
+    def where(self, seen: NDArray[np.bool_]) -> "LineLevels":
+        """Return what is seen where a flag is set, too."""
+        return LineLevels(*(np.where(seen, each, np.float32(np.nan)) for each in self))
+
+
+def line_levels(volume: Volume, points: Floats, directions: Floats) -> LineLevels:
+    """Return the levels and contrasts along lines in a volume.
 
     Parameters
     ----------
@@ -205,13 +222,8 @@ def line_contrasts(
         Volume to sample.
     points, directions
         (n, 3) points of abscissa 0 in P, in m, and unit vectors along the lines.
-
-    Returns
-    -------
-    (n, BINS) levels in dB above the second brightest side, and (n, BINS) levels of that; NaN where
-    they are not seen.
     """
-    contrasts, beside = _line_contrasts(
+    levels, beside = _line_levels(
         volume.intensities,
         volume.seen,
         volume.index(points + MIDDLES[0] * directions),
@@ -220,7 +232,7 @@ def line_contrasts(
         BINS,
     )
     scale = np.float32(volume.decibels_per_level)
-    return contrasts * scale, beside * scale
+    return LineLevels(levels * scale, (levels - beside) * scale)
 
 
 def cross_sections(
@@ -279,15 +291,15 @@ def log_ratio(contrast: Any) -> Any:  # pragma: no cover - compiled
 
 
 class Change(NamedTuple):
-    """How contrasts change from one volume to the next.
+    """How what is seen along lines changes from one volume to the next.
 
     Parameters
     ----------
     renewed
-        Share of them that are drawn anew: other speckle, a shadow, a surface that shines.
+        Share of the bins that are drawn anew: other speckle, a shadow, a surface that shines.
     deviation
-        Standard deviation in dB of those that repeat themselves: noise, and what the place from
-        which they are taken is out by.
+        Standard deviation in dB of the levels that repeat themselves: noise, and what the place
+        from which they are taken is out by.
     """
 
     renewed: float
@@ -299,26 +311,38 @@ ALL_NEW = Change(1.0, 1.0)
 
 
 @vectorize(["float64(float32)", "float64(float64)"], cache=True)
-def _anew(contrast: Any) -> Any:  # pragma: no cover - compiled
-    """Return the density of a contrast in dB of which nothing is known, up to a constant."""
-    contrast = max(contrast, _DARKEST)
-    return 0.5 * (_density(contrast, _LINE) + _density(contrast, _NOTHING))
+def _nothing(contrast: Any) -> Any:  # pragma: no cover - compiled
+    """Return the density of a contrast in dB where there is nothing, up to a constant."""
+    return _density(max(contrast, _DARKEST), _NOTHING)
 
 
-def change_between(before: NDArray[Any], contrasts: NDArray[Any]) -> Change:
-    """Return the `Change` between contrasts at the same places in two volumes.
+def repeat_ratio(now: LineLevels, before: NDArray[Any], change: Change) -> Floats:
+    """Return the densities of levels that repeat those before, relative to those of nothing new.
 
     Parameters
     ----------
-    before, contrasts
-        Contrasts in dB in the earlier and in the later volume, of one shape; NaN where they were
-        not seen. The result starts from one contrast of either kind that differs by 1 dB.
+    now
+        What is seen now.
+    before
+        (n, BINS) levels in dB before; NaN where they were not seen, and then in the result.
+    change
+        How levels change between the two.
     """
-    steps = np.asarray(contrasts - before, np.float64)
+    steps = np.asarray(now.levels - before, np.float64) / change.deviation
+    return np.exp(-0.5 * steps**2) / change.deviation / _nothing(now.contrasts)
+
+
+def change_between(now: LineLevels, before: NDArray[Any]) -> Change:
+    """Return how levels have changed, by expectation and maximisation; arguments of `repeat_ratio`.
+
+    It starts from one bin that is drawn anew, one that is not, and one that differs by 1 dB.
+    """
+    steps = np.asarray(now.levels - before, np.float64)
     both = np.isfinite(steps)
     if not both.any():
         return ALL_NEW
-    anew, squares = _anew(contrasts[both]), steps[both] ** 2
+    contrasts, squares = now.contrasts[both], steps[both] ** 2
+    anew = 0.5 * (1 + np.exp(log_ratio(contrasts))) * _nothing(contrasts)
     renewed, variance = 0.5, float(np.median(squares)) + 1 / len(squares)
     for _ in range(_ROUNDS):
         same = (1 - renewed) * np.exp(-0.5 * squares / variance) / math.sqrt(variance)
@@ -327,16 +351,6 @@ def change_between(before: NDArray[Any], contrasts: NDArray[Any]) -> Change:
         renewed = (1 + len(squares) - total) / (2 + len(squares))
         variance = (1 + float(repeats @ squares)) / (1 + total)
     return Change(renewed, math.sqrt(variance))
-
-
-@vectorize(["float64(float32, float32, float64)", "float64(float64, float64, float64)"], cache=True)
-def repeat_ratio(contrast: Any, before: Any, deviation: Any) -> Any:  # pragma: no cover - compiled
-    """Return the density of a contrast in dB that repeats the one before, relative to nothing's.
-
-    The standard deviation of a repetition is that of a `Change`.
-    """
-    nothing = _density(max(contrast, _DARKEST), _LINE) / math.exp(log_ratio(contrast))
-    return math.exp(-0.5 * ((contrast - before) / deviation) ** 2) / deviation / nothing
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -358,6 +372,7 @@ def best_stretches(evidence: Any) -> Any:  # pragma: no cover - compiled
     return firsts, lasts, sums
 
 
+@np.errstate(invalid="ignore")
 def stretches(contrasts: NDArray[Any]) -> Any:
     """Return `best_stretches` by the `log_ratio`; what is not seen is weak evidence against it."""
     return best_stretches(np.nan_to_num(log_ratio(contrasts), nan=-0.5))

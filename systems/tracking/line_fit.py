@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from sonoservo.systems.sampling.interpolation import trilinear
 from sonoservo.systems.signals.volume import Volume
 from sonoservo.systems.tracking.cells import Cells
-from sonoservo.systems.tracking.line_contrast import BIN, MIDDLES, across, line_contrasts, stretches
+from sonoservo.systems.tracking.line_contrast import BIN, MIDDLES, across, line_levels, stretches
 from sonoservo.systems.tracking.line_search import HALF_LENGTH, bright_lines
 
 Floats = NDArray[np.float64]
@@ -177,7 +177,7 @@ def fitted_lines(volume: Volume, cells: Cells, count: int = LINES) -> list[Fitte
         middles = ends.mean(axis=1)
         along = ends[:, 1] - ends[:, 0]
         k = along / np.linalg.norm(along, axis=1, keepdims=True)
-        contrasts, _ = line_contrasts(volume, middles, k)
+        contrasts = line_levels(volume, middles, k).contrasts
         firsts, lasts, evidence = stretches(contrasts)
         found = np.flatnonzero((lasts - firsts + 1 >= _SHORTEST) & (evidence >= _LEAST))
         a = np.stack([MIDDLES[firsts[found]] - BIN / 2, MIDDLES[lasts[found]] + BIN / 2], axis=1)

@@ -16,7 +16,7 @@ from sonoservo.systems.tracking.line_contrast import (
     BIN,
     BINS,
     MIDDLES,
-    line_contrasts,
+    line_levels,
     log_ratio,
     stretches,
 )
@@ -110,7 +110,7 @@ def lie_along(ends: Floats, others: Floats) -> NDArray[np.bool_]:
 def evident_stretches(volume: Volume, ends: Floats) -> Stretches:
     """Return the most evident stretches of lines, the end nearer to the side first."""
     middles, k, _ = _frame(ends)
-    contrasts, _ = line_contrasts(volume, middles, k)
+    contrasts = line_levels(volume, middles, k).contrasts
     firsts, lasts, evidence = stretches(contrasts)
     here = np.flatnonzero(lasts >= firsts)
     firsts, lasts, seen = firsts[here], lasts[here], ~np.isnan(contrasts[here])
@@ -121,10 +121,11 @@ def evident_stretches(volume: Volume, ends: Floats) -> Stretches:
     return Stretches(found, evidence[here], np.minimum(before, beyond), np.maximum(before, beyond))
 
 
+@np.errstate(invalid="ignore")
 def stretches_between(volume: Volume, ends: Floats) -> tuple[Stretches, NDArray[np.bool_]]:
     """Return the stretches between (n, 2, 3) entries and tips, and flags of those that are seen."""
     middles, k, length = _frame(ends)
-    contrasts, _ = line_contrasts(volume, middles, k)
+    contrasts = line_levels(volume, middles, k).contrasts
     seen = ~np.isnan(contrasts)
     inside = (np.abs(MIDDLES) <= 0.5 * length[:, np.newaxis]) & seen
     firsts, lasts = inside.argmax(axis=1), BINS - 1 - inside[:, ::-1].argmax(axis=1)

@@ -8,7 +8,7 @@ from scipy.special import logsumexp
 
 from sonoservo.systems.tracking import arrival
 from sonoservo.systems.tracking.arrival import add_volume, advances, class_logs
-from sonoservo.systems.tracking.line_contrast import log_ratio, repeat_ratio
+from sonoservo.systems.tracking.line_contrast import Change, LineLevels, log_ratio, repeat_ratio
 
 SHOWS, RENEWED, PRIOR = 0.7, 0.03, 0.002
 
@@ -188,7 +188,7 @@ def test_a_kymograph_shows_what_a_line_is(kind):
         for rows, shown, last in zip(
             (logs[:, : t + 1], image_logs), (here[[t]], riding[[t]]), before, strict=True
         ):
-            repeats = repeat_ratio(shown, last, 1.5)
+            repeats = repeat_ratio(LineLevels(shown, shown), last, Change(renewed, 1.5))
             add_volume(rows, log_ratio(shown), repeats, renewed, SHOWS)
             last[:] = shown
     appearing = np.log(np.full(times, PRIOR))

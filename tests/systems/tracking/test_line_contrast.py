@@ -12,10 +12,11 @@ from sonoservo.systems.tracking.line_contrast import (
     BIN,
     BINS,
     MIDDLES,
+    LineLevels,
     across,
     best_stretches,
     change_between,
-    line_contrasts,
+    line_levels,
     log_ratio,
     stretches,
 )
@@ -52,10 +53,10 @@ def volume(kind, seed=None, k=K, at=MIDDLE):
 )
 def test_a_line_is_brighter_than_what_lies_beside_it(kind, inside):
     """A fifth of the core lies on the line, and the rest 0.6 mm beside it."""
-    contrasts, sides = line_contrasts(volume(kind), MIDDLE[np.newaxis], K[np.newaxis])
-    assert contrasts.shape == sides.shape == (1, BINS)
+    levels, contrasts = line_levels(volume(kind), MIDDLE[np.newaxis], K[np.newaxis])
+    assert contrasts.shape == levels.shape == (1, BINS)
     seen = ~np.isnan(contrasts)
-    np.testing.assert_array_equal(np.isnan(sides), ~seen)
+    np.testing.assert_array_equal(np.isnan(levels), ~seen)
     on_line = np.abs(MIDDLES) < HALF - 2 * BIN
     assert seen[0, on_line].all()
     np.testing.assert_allclose(contrasts[0, on_line], inside, atol=1.2)
@@ -115,11 +116,11 @@ def test_how_contrasts_change_is_measured_from_them(renewed, deviation):
     now = before + rng.normal(0.0, deviation, 4000)
     now = np.where(rng.random(4000) < renewed, drawn(4000), now)
     before[:100] = now[50:150] = np.nan
-    found = change_between(before.reshape(-1, 40), now.reshape(-1, 40))
+    found = change_between(LineLevels(now, now), before)
     assert found.renewed == pytest.approx(renewed, abs=0.01 + 0.15 * renewed)
     assert found.deviation == pytest.approx(deviation, rel=0.08)
-    assert change_between(np.full((1, 3), np.nan), np.ones((1, 3))) == ALL_NEW
-    assert change_between(now, now).deviation < 0.1
+    assert change_between(LineLevels(now, now), np.full(4000, np.nan)) == ALL_NEW
+    assert change_between(LineLevels(now, now), now).deviation < 0.1
 
 
 @pytest.mark.parametrize("seed", range(3))
