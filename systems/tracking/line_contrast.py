@@ -118,11 +118,19 @@ def _line_levels(  # pragma: no cover - compiled
                 core[b] += 0.1 * _core(intensities, x, y, z, across[n])
             for s in range(8):
                 valid[b, s], sides[b, s] = 0, 0.0
-                if seen[b]:
-                    x = starts[n, 0] + b * steps[n, 0] + offsets[s, 0]
-                    y = starts[n, 1] + b * steps[n, 1] + offsets[s, 1]
-                    z = starts[n, 2] + b * steps[n, 2] + offsets[s, 2]
-                    sides[b, s], valid[b, s] = _side(intensities, volume_seen, x, y, z)
+                if not seen[b]:
+                    continue
+                for half in range(2):
+                    a = b + 0.5 * half - 0.25
+                    x = starts[n, 0] + a * steps[n, 0] + offsets[s, 0]
+                    y = starts[n, 1] + a * steps[n, 1] + offsets[s, 1]
+                    z = starts[n, 2] + a * steps[n, 2] + offsets[s, 2]
+                    # Averages over the ring need no interpolation.
+                    if -0.5 < x < nx - 0.5 and -0.5 < y < ny - 0.5 and -0.5 < z < nz - 0.5:
+                        i, j, k = int(x + 0.5), int(y + 0.5), int(z + 0.5)
+                        if volume_seen[i, j, k]:
+                            sides[b, s] += intensities[i, j, k]
+                            valid[b, s] += 1
         for b in range(count):
             if seen[b]:
                 first, last = max(b - _AVERAGED, 0), min(b + _AVERAGED + 1, count)
@@ -132,7 +140,7 @@ def _line_levels(  # pragma: no cover - compiled
                     for e in range(first, last):
                         total += sides[e, s]
                         number += valid[e, s]
-                    if 2 * number > last - first:
+                    if number > last - first:
                         total /= number
                         if total > brightest:
                             brightest, second = total, brightest
