@@ -230,7 +230,9 @@ class _Reader:
                 raise self.refuse(
                     "kinds", f"{kind}: vectors, and numbers that are no echoes, are not supported"
                 )
-        if len(spatial) == 4 and not listed:  # as ITK writes it: time is a fourth axis in space
+        stamps = sum(name.endswith("_Timestamp") for name in self.header)
+        # ITK writes time as a fourth axis in space. Frames with a time each lie along the third.
+        if not listed and (len(spatial) == 4 or (len(spatial) == 3 and stamps > 1)):
             listed.append(spatial.pop())
         colours = [axis for axis in coloured if self.sizes[axis] > 1]
         if any(self.sizes[axis] not in (3, 4) for axis in colours):
@@ -273,7 +275,7 @@ class _Reader:
         if name and base not in (*SPACES, *_NAMELESS):
             known = ", ".join(each for each in SPACES if "-" in each)
             raise self.refuse("space", f"the axes must have anatomical names: {known}")
-        if base not in SPACES and "space directions" in self.header:
+        if base not in SPACES and "space directions" in self.header and not self.frames:
             said = f"its space {name!r} has" if name else "it names no space and has"
             self.notes.append(f"{said} no anatomical axes; they are taken as LPS")
         units = [each.strip().lower() for each in self.entries("space units")] or ["mm"] * 3

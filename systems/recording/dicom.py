@@ -12,8 +12,9 @@ from sonoservo.systems.files.volume_file import VolumeFile, check_layout, requir
 from sonoservo.systems.recording.grey_levels import as_frame, grey_or_colours
 from sonoservo.systems.recording.pose_table import read_pose_table
 
-_TISSUE = 1
-_CENTIMETRES = 3  # Codes of a region of 2D tissue, and of centimetres as its unit
+_2D = _TISSUE = 1
+_CENTIMETRES = 3  # Codes of a flat region, of tissue in it, and of centimetres as its unit
+_VOLUMES = "1.2.840.10008.5.1.4.1.1.6.2"  # Enhanced US Volume Storage
 
 
 def open_dicom(path: Path, *, frames: bool = False) -> VolumeFile:
@@ -29,6 +30,11 @@ def open_dicom(path: Path, *, frames: bool = False) -> VolumeFile:
         count, rows, columns = (
             int(data.get(name, default))
             for name, default in (("NumberOfFrames", 1), ("Rows", 0), ("Columns", 0))
+        )
+    if data.get("SOPClassUID", "") == _VOLUMES:
+        raise ConfigurationError(
+            f"{path}: volumes of DICOM (Enhanced US Volume) are not supported; save them as NRRD, "
+            "with 3D Slicer for instance"
         )
     size = rows * columns * int(data.get("SamplesPerPixel", 1)) * int(data.get("BitsAllocated", 8))
     require_memory(size // 8, str(path), f"{rows} x {columns} pixels")
@@ -72,7 +78,10 @@ def _region(
 ) -> tuple[int, int, int, int, tuple[float, float], str]:
     """Return the ends of the region of tissue in pixels, their size in mm, and a note."""
     for region in data.get("SequenceOfUltrasoundRegions", []):
-        tissue = int(region.get("RegionSpatialFormat", 0)) == _TISSUE
+        tissue = (
+            int(region.get("RegionSpatialFormat", 0)) == _2D
+            and int(region.get("RegionDataType", _TISSUE)) == _TISSUE
+        )
         units = {int(region.get(f"PhysicalUnits{axis}Direction", 0)) for axis in "XY"}
         if tissue and units == {_CENTIMETRES}:
             corners = [

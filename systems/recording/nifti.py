@@ -43,7 +43,10 @@ def open_nifti(path: Path, *, frames: bool = False) -> VolumeFile:
         shape, count = sizes[:3], sizes[3] if len(sizes) == 4 else 1
         check_layout(path, shape, count, directions, frames=frames)
         require_voxels(path, shape)  # before any voxel is looked for
-        size = math.prod(sizes) * image.get_data_dtype().itemsize
+        dtype = image.get_data_dtype()
+        if dtype.kind == "c":
+            raise ConfigurationError(f"{path}: datatype: complex numbers are no grey levels")
+        size = math.prod(sizes) * dtype.itemsize
         present = path.stat().st_size * (MAX_DEFLATED if path.suffix.lower() == ".gz" else 1)
         if size > present:
             raise ConfigurationError(f"{path}: it is cut off: {size} bytes of voxels are announced")
@@ -52,10 +55,16 @@ def open_nifti(path: Path, *, frames: bool = False) -> VolumeFile:
         if duration in SECONDS and step > 0:
             times = SECONDS[duration] * (float(header["toffset"]) + step * np.arange(count))
 
+    colours = dtype.names or ()
+
     def read(number: int) -> NDArray[Any]:
         with refusing_failures(path, "its voxels cannot be read"):
             voxels = image.dataobj[..., number] if len(sizes) == 4 else image.dataobj
-            return np.asarray(voxels)
+            voxels = np.asarray(voxels)
+        return np.stack([voxels[each] for each in colours], axis=-1) if colours else voxels
 
     notes = ("it states no unit of length; mm are taken",) if length == "unknown" else ()
-    return VolumeFile(path, shape, count, directions, origin, read, times, notes=notes)
+    return VolumeFile(
+        path, shape, count, directions, origin, read, times, notes=notes,
+        channels=max(len(colours), 1),
+    )  # fmt: skip

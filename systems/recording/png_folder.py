@@ -1,5 +1,6 @@
 """Reader of a folder of PNG images with a table of their poses."""
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +19,15 @@ TABLE = "poses.csv"
 def open_png_folder(path: Path, *, frames: bool = False) -> VolumeFile:
     """Open a folder of PNG images, in the order of their names, with a table (`read_pose_table`).
 
+    Numbers in names count as such: image 9 comes before image 10.
+
     Columns of pixels run across, rows away from the probe; the calibration tells their size.
     """
     image = require_extra("PIL.Image", "images", path)
-    files = sorted(each for each in path.iterdir() if each.suffix.lower() == ".png")
+    files = [each for each in path.iterdir() if each.suffix.lower() == ".png"]
+    files.sort(
+        key=lambda each: [int(n) if n.isdigit() else n for n in re.split(r"(\d+)", each.name)]
+    )
     if not files:
         raise ConfigurationError(f"{path}: it is a folder without PNG images")
     require_frames(path, frames, f"{len(files)} PNG images")

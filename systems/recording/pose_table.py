@@ -15,8 +15,8 @@ from sonoservo.systems.recording.transform_chain import ends_of
 from sonoservo.systems.recording.valid_frames import matrix_text
 
 _MOST_BYTES = 1 << 26
-_ELEMENT = re.compile(r"(?:(\w+To\w+?)_)?m?([0-3])([0-3])")
-_VECTOR = re.compile(r"(?:(\w+To\w+?)_)?(x|y|z|qw|qx|qy|qz)")
+_ELEMENT = re.compile(r"(?:(\w+To\w+?)_)?m?([0-3])([0-3])", re.IGNORECASE)
+_VECTOR = re.compile(r"(?:(\w+To\w+?)_)?(x|y|z|qw|qx|qy|qz)", re.IGNORECASE)
 _DEFAULT = "ProbeToReference"
 _TIMES = {"time": 1.0, "timestamp": 1.0, "time_s": 1.0, "time_ms": 1e-3}
 _NAMES = ("file", "filename", "image", "name")
@@ -25,11 +25,12 @@ _NAMES = ("file", "filename", "image", "name")
 def read_pose_table(path: Path, files: Sequence[str]) -> dict[str, str]:
     """Read a table with a row for each frame's file, as the fields that PLUS would write.
 
-    The first row names the columns. ``file`` or ``frame`` (from 0) tells which frame a row belongs
-    to; without either, rows are in order. ``time`` is in s, ``time_ms`` in ms. A pose is ``x, y,
-    z`` in mm with the unit quaternion ``qw, qx, qy, qz``, or the elements ``m00`` to ``m23`` of a
-    matrix in mm. It is that of the probe in the reference (``ProbeToReference``), unless the
-    columns begin with another name, as ``ImageToReference_m00``. A row that is not understood costs
+    The first row names the columns, which commas, semicolons or tabs separate. ``file`` or
+    ``frame`` (from 0) tells which frame a row belongs to; without either, rows are in order.
+    ``time`` is in s, ``time_ms`` in ms. A pose is ``x, y, z`` in mm with the unit quaternion ``qw,
+    qx, qy, qz``, or the elements ``m00`` to ``m23`` of a matrix in mm. It is that of the probe in
+    the reference (``ProbeToReference``), unless the columns begin with another name, as
+    ``ImageToReference_m00``. A row that is not understood costs
     its frame.
     """
     if not path.is_file():
@@ -38,16 +39,29 @@ def read_pose_table(path: Path, files: Sequence[str]) -> dict[str, str]:
         raise ConfigurationError(f"{path}: it is too large for a table of poses")
     with refusing_failures(path, "it is no table of poses"):
         text = path.read_text(encoding="utf-8-sig", errors="replace")
-        rows = list(csv.DictReader(text.splitlines()))
+        lines = text.splitlines()
+        separator = next((each for each in ",;\t" if lines and each in lines[0]), ",")
+        rows = list(csv.DictReader(lines, delimiter=separator))
         if not rows:
             raise ConfigurationError(f"{path}: it has no rows below that of the names")
+        names = [str(each).strip() for each in rows[0] if each]
+        if not any(_ELEMENT.fullmatch(each) or _VECTOR.fullmatch(each) for each in names):
+            raise ConfigurationError(
+                f"{path}: none of its columns ({', '.join(names)[:100]}) is part of a pose: x, y, "
+                "z, qw, qx, qy and qz, or m00 to m23"
+            )
         fields: dict[str, str] = {}
         numbers = {name: number for number, name in enumerate(files)}
         for place, raw in enumerate(rows):
-            row = {str(key).strip(): str(value).strip() for key, value in raw.items() if key}
+            row = {_plain(str(key)): str(value).strip() for key, value in raw.items() if key}
             number = _number(path, row, place, numbers)
             if number is None:
                 continue
+            if number >= len(files):
+                raise ConfigurationError(
+                    f"{path}: row {place + 1} is that of frame {number}; there are {len(files)}, "
+                    "counted from 0"
+                )
             frame = f"Seq_Frame{number:04d}"
             for name, scale in _TIMES.items():
                 if name in row:
@@ -55,6 +69,11 @@ def read_pose_table(path: Path, files: Sequence[str]) -> dict[str, str]:
             for name, text in _matrices(path, row).items():
                 fields[f"{frame}_{name}Transform"] = text
         return fields
+
+
+def _plain(key: str) -> str:
+    """Return a column's name in small letters, but for that of a transform."""
+    return key.strip() if "To" in key else key.strip().lower()
 
 
 def _number(
@@ -85,7 +104,7 @@ def _matrices(path: Path, row: Mapping[str, str]) -> dict[str, str]:
             matrix = found.setdefault(name, np.vstack([np.full((3, 4), np.nan), [0, 0, 0, 1]]))
             matrix[int(element[2]), int(element[3])] = number
         else:
-            vectors.setdefault(name, {})[match[2]] = number
+            vectors.setdefault(name, {})[match[2].lower()] = number
     for name, each in vectors.items():
         if len(each) != 7:
             raise ConfigurationError(f"{path}: a pose is x, y, z, qw, qx, qy and qz, or a matrix")

@@ -1,5 +1,6 @@
 """Formats that laboratories have: HDF5 of TUS-REC and zea, DICOM, and PNG with a table of poses."""
 
+import copy
 import csv
 import sys
 
@@ -11,7 +12,12 @@ import pydicom
 import pytest
 from PIL import Image
 from pydicom.dataset import FileMetaDataset
-from pydicom.uid import ExplicitVRLittleEndian, UltrasoundMultiFrameImageStorage, generate_uid
+from pydicom.uid import (
+    EnhancedUSVolumeStorage,
+    ExplicitVRLittleEndian,
+    UltrasoundMultiFrameImageStorage,
+    generate_uid,
+)
 from pydrake.math import RigidTransform, RollPitchYaw
 from synthetic_volumes import Scene
 from tracked_frames import freehand
@@ -76,14 +82,14 @@ def test_scans_of_tus_rec(tmp_path, frames, apart):
 
 def write_pngs(folder, frames, *, mode="L", quaternions=False):
     folder.mkdir()
-    names = [f"frame_{k:03d}.png" for k in range(len(frames))]
+    names = [f"frame_{k + 7}.png" for k in range(len(frames))]  # 10 comes after 9
     with (folder / "poses.csv").open("w", newline="") as file:
         columns = ["file", "time_ms"]
         columns += [*"xyz", "qw", "qx", "qy", "qz"] if quaternions else [
             f"m{i}{j}" for i in range(3) for j in range(4)
         ]  # fmt: skip
-        table = csv.writer(file)
-        table.writerow(columns)
+        table = csv.writer(file, delimiter=";" if quaternions else ",")
+        table.writerow([each.upper() if quaternions else each for each in columns])
         for name, frame, pose in reversed(
             list(zip(names, frames, sensor_poses(frames), strict=True))
         ):
@@ -115,7 +121,7 @@ def test_a_row_that_is_missing_costs_its_frame(tmp_path, frames):
     rows = (folder / "poses.csv").read_text().splitlines()
     odd = rows[5].replace(".", "x", 9)
     (folder / "poses.csv").write_text("\n".join([*rows[:3], *rows[4:5], odd, *rows[6:]]))
-    (folder / "frame_001.png").write_bytes(b"damaged")
+    (folder / "frame_8.png").write_bytes(b"damaged")
     read = TrackedFrames(folder, transforms={"ImageToProbe": CALIBRATION})
     assert (len(read), read.notes[-1]) == (6, "left out 2 frames: 2 without a pose (3, 5)")
     assert [frame.any() for frame in read] == [True, False, True, True, True, True]
@@ -128,6 +134,8 @@ def test_a_row_that_is_missing_costs_its_frame(tmp_path, frames):
         ("file,time,x\na.png,1,2", "x, y, z, qw"),
         ("time,AngleToo_m00\n1,2", "names no transform"),
         ("frame,m00\nx,2", "its frames have no poses"),
+        ("frame,m00\n1,2", "row 1 is that of frame 1; there are 1"),
+        ("Pos1,Pos2\n1,2", r"none of its columns \(Pos1, Pos2\) is part of a pose"),
         ("", "no rows"),
     ],
 )
@@ -161,7 +169,9 @@ def write_dicom(path, pixels, *, photometric="MONOCHROME2", region=True, **more)
         each.RegionLocationMinX0, each.RegionLocationMinY0 = 3, 7
         each.RegionLocationMaxX1 = int(data.Columns) - 3
         each.RegionLocationMaxY1 = int(data.Rows) - 2
-        data.SequenceOfUltrasoundRegions = [each]
+        flow = copy.deepcopy(each)
+        flow.RegionDataType, flow.RegionLocationMinX0 = 2, 9
+        data.SequenceOfUltrasoundRegions = [flow, each]
     for name, value in more.items():
         setattr(data, name, value)
     data.PixelData = pixels.tobytes()
@@ -200,6 +210,9 @@ def test_colours_of_dicom_and_palettes_are_refused(tmp_path, frames):
         TrackedFrames(path)
     write_dicom(path, pixels, photometric="PALETTE COLOR")
     with pytest.raises(ConfigurationError, match="palettes"):
+        TrackedFrames(path)
+    write_dicom(path, pixels, SOPClassUID=EnhancedUSVolumeStorage)
+    with pytest.raises(ConfigurationError, match="volumes of DICOM"):
         TrackedFrames(path)
     path.write_bytes(b"nothing of the kind")
     with pytest.raises(ConfigurationError, match="no DICOM file"):
@@ -273,6 +286,13 @@ def test_nifti_gives_the_volumes_that_nrrd_gives(tmp_path, name):
         np.testing.assert_allclose(read[number].spacing, wanted[number].spacing, rtol=1e-6)
         np.testing.assert_allclose(read[number].origin, wanted[number].origin, atol=1e-8)
         assert read.X_WL(number).IsNearlyEqualTo(wanted.X_WL(number), 1e-6)
+    for dtype, message in (
+        (np.complex64, "complex"),
+        ([(each, "u1") for each in "RGB"], "colours"),
+    ):
+        nibabel.save(nibabel.Nifti1Image(np.zeros((9, 9, 9), dtype), affine), tmp_path / "b.nii")
+        with pytest.raises(ConfigurationError, match=message):
+            Recording(tmp_path / "b.nii")
     (tmp_path / name).write_bytes((tmp_path / name).read_bytes()[:300])
     with pytest.raises(ConfigurationError, match="a.nii"):
         Recording(tmp_path / name)

@@ -337,7 +337,8 @@ def test_frames_come_back_however_plus_stores_them(tmp_path, letters, suffix):
                  "ElementDataFile = LOCAL", ""]  # fmt: skip
     else:
         lines = ["NRRD0004", "type: uchar", "dimension: 3", f"sizes: {sizes}", "encoding: raw",
-                 "kinds: domain domain list", f"ultrasound image orientation:={letters}",
+                 f"kinds: domain domain {'list' if letters[0] in 'MU' else 'domain'}",
+                 f"ultrasound image orientation:={letters}",
                  *(f"{key}:={value}" for key, value in fields), "", ""]  # fmt: skip
     path.write_bytes("\n".join(lines).encode() + data)
     read = TrackedFrames(path)
