@@ -146,6 +146,8 @@ class InteractingFilter:
         Spectral densities of the needle's acceleration under each model.
     lasting
         Mean time in s for which a needle, or its end, moves in one way.
+    calm
+        Mean time in s from one jerk to the next.
     unseen_time
         Time in s in which the speed of a tip that is not seen falls to 1/e. A hand that pushes
         stops before long.
@@ -174,6 +176,7 @@ class InteractingFilter:
         default_factory=lambda: NeedleMotionParameters(insertion=1e-2, body=3e-5)
     )
     lasting: Positive = 2.0
+    calm: Positive = 20.0
     unseen_time: Positive = 0.5
     constant: float = 0.25
     repeated: float = 0.65
@@ -213,7 +216,7 @@ class InteractingFilter:
             np.stack([mean] * 12),
             np.stack([advancing, P, hidden] * 4),
             # Before anything is known, a hand that pushes is as probable as one that rests.
-            np.tile([0.5 * (1 - unseen), 0.5 * (1 - unseen), unseen], 4) / 4,
+            np.kron([1, 1, 1, 0], [0.5 * (1 - unseen), 0.5 * (1 - unseen), unseen]) / 3,
             self._constant(measurement, R),
             measurement,
             k,
@@ -224,8 +227,12 @@ class InteractingFilter:
         dt = time - state.time
         if dt <= 0:
             return state
-        left = 1 - math.exp(-dt / self.lasting)
-        switch = np.kron((1 - left) * np.eye(4) + left * (1 - np.eye(4)) / 3, np.eye(3))
+        left, jerks = 1 - math.exp(-dt / self.lasting), 1 - math.exp(-dt / self.calm)
+        switch = (1 - 1.5 * left) * np.eye(4) + 0.5 * left
+        switch[:, 3], switch[3] = left / 3, jerks
+        switch[:3, :3] *= 1 - jerks
+        switch[3, 3] = 1 - left
+        switch = np.kron(switch, np.eye(3))
         weights, x, P = _mixed(switch * state.weights, state.means, state.covariances)
         size, curve = state.means.shape[1] // 3, state.curve
         moving, count = slice(2 * size), len(weights)

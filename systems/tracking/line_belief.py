@@ -63,8 +63,8 @@ _SHADOWED, _LIGHTER = 10.0, 0.5
 by how much that level may fall from volume to volume without a shadow."""
 
 _APPEARS = 0.1
-"""How much rarer a line appears at once than one of its bins is drawn anew: a specular surface comes
-into view, or a shadow goes. Measured in volumes without a needle, at rest and in motion."""
+"""Ratio of the probability that a line appears at once, as a specular surface comes into view or a
+shadow goes, to that with which a bin is drawn anew; measured in volumes without a needle."""
 
 _NEUTRAL, _BEST_LOOKS, _MOST_LOOKS = -4.0, 2.0, (-20.0, 4.0)
 """Log odds of a line's looks that speak neither for nor against a needle that moves like one (of
@@ -518,7 +518,7 @@ def _backwards(lines: Lines) -> NDArray[np.bool_]:
 
 
 def _judged(lines: Lines, newest: Remembered, fits: Sequence[FittedLine], look: bool) -> Lines:
-    """Return lines with the looks of those that these can make a needle, or of all prominent ones."""
+    """Return lines with the looks of those that may be needles, or of all prominent ones."""
     needle = np.logaddexp(lines.classes[:, 0], lines.classes[:, 1])
     judged = np.arange(len(lines)) < _JUDGED if look else needle > _NEUTRAL - _BEST_LOOKS
     looks, looked = lines.looks.copy(), lines.looked.copy()
