@@ -52,7 +52,7 @@ test-quick: $(VENV)/.installed.dev
 	@$(BIN)/python -m pytest -n 2 --dist loadfile $(QUICK) $(ARGS)
 
 fuzz: $(VENV)/.installed.dev
-	@PYTHONPATH=tests/helpers $(BIN)/python -m fuzzing $(ARGS)
+	@PYTHONPATH=tests/helpers:tests/tools $(BIN)/python -m fuzzing $(ARGS)
 
 bench: $(VENV)/.installed.dev $(VENV)/.compiled
 	@mkdir -p out

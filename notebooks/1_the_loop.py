@@ -13,7 +13,7 @@ import os
 import matplotlib.pyplot as plt
 
 from sonoservo.diagrams import load_scenario, make_experiment, run
-from sonoservo.systems.display.console import Console
+from sonoservo.systems.display import Console
 from sonoservo.systems.evaluation import estimate_errors
 
 quick = os.environ.get("SONOSERVO_QUICK", "")  # what the tests change, to be done sooner

@@ -14,7 +14,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from sonoservo.diagrams import load_scenario, run, scan
-from sonoservo.systems.display.console import slice_views
+from sonoservo.systems.display import slice_views
 from sonoservo.systems.signals import sample_plane
 from sonoservo.systems.ultrasound import elevation_width, lateral_width, load_transducer
 

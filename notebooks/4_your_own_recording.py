@@ -15,7 +15,7 @@ import numpy as np
 from pydrake.math import RigidTransform
 
 from sonoservo.diagrams import load_scenario, locate, run, track, track_recording
-from sonoservo.systems.display.console import Console
+from sonoservo.systems.display import Console
 from sonoservo.systems.evaluation import picture_planes, plot_planes
 from sonoservo.systems.recording import Recording
 from sonoservo.systems.signals import Volume

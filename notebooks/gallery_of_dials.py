@@ -32,8 +32,8 @@ from sonoservo.systems.ultrasound.simulation import (
     load_needle,
     load_tissue,
 )
-from sonoservo.systems.ultrasound.simulation.reaction import Deformation, Indentation
-from sonoservo.systems.ultrasound.simulation.structures import (
+from sonoservo.systems.ultrasound.simulation.reaction.deformation import Deformation, Indentation
+from sonoservo.systems.ultrasound.simulation.structures.kinds import (
     Bone,
     Calcification,
     Fascia,

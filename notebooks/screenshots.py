@@ -7,8 +7,9 @@ from pathlib import Path
 from playwright.sync_api import Browser, Error, sync_playwright
 
 from sonoservo.diagrams import load_scenario, run
-from sonoservo.systems.display.console import Console
-from sonoservo.systems.display.pages import Site, open_meshcat
+from sonoservo.systems.display.console.console import Console
+from sonoservo.systems.display.pages.meshcat_page import open_meshcat
+from sonoservo.systems.display.pages.site import Site
 
 HERE = Path(__file__).parent
 NO_CHROMIUM = "no Chromium: install it with your package manager, or `playwright install chromium`"

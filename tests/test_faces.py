@@ -19,26 +19,10 @@ PACKAGES = sorted(
     for folder in ("systems", "diagrams", "models")
     for path in (ROOT / folder).rglob("__init__.py")
 )
-WITHOUT = {
-    **{
-        f"diagrams.app{room}": "what a person types; the face of diagrams has it for Python"
-        for room in ("", ".commands", ".kept_runs", ".live", ".pages", ".volumes")
-    },
-    **{
-        f"diagrams.studies.{room}": "parts of a study; the face of studies has what a user calls"
-        for room in ("cluster", "datasets", "following")
-    },
-    "models": "its one function stands in its __init__",
-    "systems": "a folder of rooms",
-    "systems.evaluation.shape": "its users' names are on the face of evaluation",
-    "systems.files": "formats and safe writing, for the rooms above it",
-    "systems.display": "a folder of rooms",
-    "systems.sampling": "compiled loops that only the rooms beside it call",
-    "systems.ultrasound.simulation.kernels": "compiled loops that only the renderer calls",
-}
-"""Packages that hand out nothing, and why."""
-
-FACES = [package for package in PACKAGES if package not in WITHOUT]
+FACES = [
+    package for package in PACKAGES if (ROOT / package.replace(".", "/") / "__init__.pyi").is_file()
+]
+"""Rooms that hand out names; the others are parts of a room, or what no program needs."""
 
 
 def modules(package):
@@ -49,8 +33,12 @@ def modules(package):
 
 
 def own_names(package):
-    """Public classes and functions that a package's modules define: (name, object)."""
+    """Public classes and functions of a package's modules and its parts: (name, object)."""
     for name in sorted(modules(package)):
+        if package.startswith("systems") and f"{package}.{name}" in PACKAGES:
+            if f"{package}.{name}" not in FACES:
+                yield from own_names(f"{package}.{name}")
+            continue
         module = import_module(f"sonoservo.{package}.{name}")
         for each, value in vars(module).items():
             if not each.startswith("_") and getattr(value, "__module__", "") == module.__name__:

@@ -17,7 +17,7 @@ from sonoservo.diagrams.studies.fingerprint import made_with
 from sonoservo.diagrams.studies.runs import run_cases
 from sonoservo.diagrams.studies.store import Store, absolute
 from sonoservo.diagrams.studies.study import Case, Outcome, WithFiles
-from sonoservo.systems.files.refusals import ConfigurationError
+from sonoservo.systems.files.refusals import ConfigurationError, require_extra
 from sonoservo.systems.files.writing import write_atomically, write_json
 from sonoservo.systems.recording.recording_writer import RecordingWriter
 from sonoservo.systems.recording.side_files import TRUTH, LinesWriter
@@ -41,6 +41,8 @@ def make_volumes(
             raise ConfigurationError(
                 f"format: {each!r} is not allowed; one of {', '.join(FORMATS)}"
             )
+    if "zea" in formats:
+        require_extra("h5py", "hdf5", "format zea")
     place = Store(str(options.folder)) if store is None else Store(absolute(store), shared=True)
     outcomes = run_cases(
         partial(write_sequence, formats=formats), options.cases(formats=list(formats)),

@@ -14,7 +14,7 @@ from sonoservo.diagrams.studies.robustness.runs import as_in_probe
 from sonoservo.diagrams.studies.run_group import RunGroup, Value, pooled, quantile_of
 from sonoservo.diagrams.studies.study_report import interval_text
 from sonoservo.systems.evaluation.intervals import count_interval, proportion_interval
-from sonoservo.systems.evaluation.metrics import MetricsParameters, detection
+from sonoservo.systems.evaluation.metrics import START_TOLERANCE, detection
 from sonoservo.systems.evaluation.run_errors import inside_stated
 from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.evaluation.success import ENOUGH_MM, TrackedVolumes, from_needle
@@ -54,7 +54,7 @@ def judge_sequence(
     before = right & (time < lifted[0]) & (time > lifted[0] - _JUST_BEFORE)
     by_volume = {each.volume: each for each in rows}
     near = from_needle(log, log.volume_estimate_time, log.volume_estimate_tip)
-    near_needle = np.nan_to_num(near, nan=np.inf) <= MetricsParameters().start_tolerance
+    near_needle = np.nan_to_num(near, nan=np.inf) <= START_TOLERANCE
     given = [(n, by_volume[n]) for n in range(len(time)) if by_volume.get(n)]
     inside = inside_stated(log)["tip"]
     first = np.flatnonzero(seen)
@@ -66,7 +66,7 @@ def judge_sequence(
         if len(first) and judged.found
         else None,
         "kept": right[judged.judged].tolist(),
-        "false_finds": detection(log, MetricsParameters())["false_starts"],
+        "false_finds": detection(log)["false_starts"],
         "seconds": float(truth.time[-1]),
         "reacquired": bool((right & (time >= lifted[1])).any()) if before.any() else None,
         "stated": [

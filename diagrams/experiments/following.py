@@ -27,7 +27,7 @@ from sonoservo.systems.control.controller_schedule import OperatorSettings
 from sonoservo.systems.display.console.console_feed import ConsoleFeed
 from sonoservo.systems.display.world.world_view import WorldView, WorldViewParameters
 from sonoservo.systems.evaluation.explanation.explained_volume import ExplanationRecorder
-from sonoservo.systems.evaluation.metrics import MetricsParameters, summarize
+from sonoservo.systems.evaluation.metrics import summarize
 from sonoservo.systems.evaluation.reports.track_plots import PictureRecorder, VolumePictures
 from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.evaluation.run_logger import RunLogger
@@ -237,7 +237,7 @@ class FollowingExperiment(Experiment[FollowingScenario]):
 
     def summarize(self, log: RunLog) -> dict[str, Any]:
         """Summarise a log, see `summarize`, and add what the guard noticed as `guard.noticed`."""
-        figures = summarize(log, MetricsParameters(force_target=self.force_target))
+        figures = summarize(log, self.force_target)
         figures["guard"]["noticed"] = self._guard.remark or None
         return figures
 

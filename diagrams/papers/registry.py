@@ -1,8 +1,8 @@
 """Registry of the papers and studies that ``sonoservo reproduce`` knows.
 
-A new paper is a package beside this module that exports ``reproduce(options: StudyOptions) ->
-Study``, and a line in `PAPERS`. A study of no paper is such a package among the studies, and an
-entry here.
+A new paper is a package beside this module, with a module `reproduction` that has a function
+``reproduce(options: StudyOptions) -> Study``, and a line in `PAPERS`. A study of no paper is such a
+package among the studies, and an entry here.
 """
 
 from importlib import import_module
@@ -37,5 +37,7 @@ def reproduce(paper: str, options: "StudyOptions") -> "Study":
     """
     require_paper(paper)
     room = "papers" if paper in PAPERS else "studies"
-    study: Study = import_module(f"sonoservo.diagrams.{room}.{paper}").reproduce(options)
+    study: Study = import_module(f"sonoservo.diagrams.{room}.{paper}.reproduction").reproduce(
+        options
+    )
     return study

@@ -122,6 +122,8 @@ def results_table(kept: Mapping[str, Any], rows: str) -> str:
     if rows == "published":
         return head + _first_table(shown).markdown()
     groups = groupby(shown, lambda row: row.experiment)
+    behind = kept.get("published_better")
+    head += f"{behind}\n\n" if behind else ""
     return head + "\n\n".join(_folded(name, list(each)) for name, each in groups)
 
 

@@ -131,6 +131,21 @@ class StudyRow:
         value = self.estimated if self.true is None else self.true
         return verdict(value, self.low, self.high, self.target, self.wanted)
 
+    @property
+    def behind(self) -> bool:
+        """Whether the published method is better in what has a target: the intervals are apart."""
+        ours, theirs = (self.low, self.high), (self.published_low, self.published_high)
+        if self.target is None or None in (*ours, *theirs):
+            return False
+        less, more = (theirs, ours) if self.wanted == "at most" else (ours, theirs)
+        return bool(less[1] < more[0])
+
+
+def said_first(rows: Sequence[StudyRow]) -> str:
+    """Return a sentence on the figures in which the published method is better; empty if none."""
+    names = [f"{each.experiment}: {each.named}" for each in rows if each.behind]
+    return f"The published method is better in {'; '.join(names)}." if names else ""
+
 
 @dataclass(frozen=True, kw_only=True)
 class StudyFigure:
@@ -190,6 +205,7 @@ class Study:
             "failures": [
                 asdict(each.case) | {"error": each.error} for each in self.outcomes if not each
             ],
+            "published_better": said_first(self.rows),
             "compute_ms": self.compute_ms,
             "wall_s": sum(each.wall_s for each in self.outcomes),
             "notes": list(self.notes),
@@ -237,7 +253,8 @@ def _met(studies: Sequence[Study]) -> str:
 def _body(study: Study, command: str) -> str:
     """Return the HTML of a study's command, notes and tables."""
     body = [f"<p><code>{html.escape(command)}</code></p>"]
-    body += [f"<p>{html.escape(note)}</p>" for note in study.notes]
+    notes = [said_first(study.rows), *study.notes]
+    body += [f"<p>{html.escape(note)}</p>" for note in notes if note]
     runs = [
         [name, _ranges(each["seeds"]), each["cases"], each["failed"]]
         for name, each in study.experiments.items()

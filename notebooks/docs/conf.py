@@ -7,6 +7,7 @@ from pathlib import Path
 import yaml
 from docutils import nodes
 from docutils.parsers.rst import Directive
+from docutils.utils.math.latex2mathml import tex2mathml
 
 sys.path.insert(0, str(Path(__file__).parent))
 
@@ -23,6 +24,7 @@ html_static_path = ["wide.css"]
 html_css_files = ["wide.css"]
 exclude_patterns = ["_build"]
 myst_heading_anchors = 3
+html_math_renderer = "mathml"  # browsers draw it themselves: nothing comes from the network
 myst_enable_extensions = ["dollarmath", "colon_fence"]
 nb_execution_mode = "off"  # the notebooks hold their outputs
 nb_merge_streams = True
@@ -55,6 +57,12 @@ class PortsDirective(Directive):
         return [block]
 
 
+def _write_math(writer, node):
+    writer.body.append(tex2mathml(node.astext(), as_block=isinstance(node, nodes.math_block)))
+    raise nodes.SkipNode
+
+
 def setup(app):
-    """Add the directive."""
+    """Add the directive, and formulas as MathML."""
     app.add_directive("pydrake_system", PortsDirective)
+    app.add_html_math_renderer("mathml", (_write_math, None), (_write_math, None))

@@ -29,7 +29,7 @@ ROOMS = {
     "systems.recording": "Volumes in files.",
     "systems.live": "Volumes over sockets.",
     "systems.evaluation": "Logs, metrics and pictures of a run.",
-    "systems.display.console": "The console.",
+    "systems.display": "The console and the world.",
 }
 """Rooms of the reference, and what each holds."""
 

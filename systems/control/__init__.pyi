@@ -1,4 +1,3 @@
-from .controller_schedule import ControllerSettings as ControllerSettings
 from .controller_schedule import OperatorSettings as OperatorSettings
 from .controller_schedule import ScheduledSettings as ScheduledSettings
 from .differential_kinematics import DifferentialKinematics as DifferentialKinematics
@@ -9,9 +8,6 @@ from .force_controller import ForceController as ForceController
 from .force_law import ForceControllerParameters as ForceControllerParameters
 from .guard import Guard as Guard
 from .guard_parameters import GuardParameters as GuardParameters
-from .guard_parameters import WristSensorLimits as WristSensorLimits
-from .visual_features import interaction_matrix as interaction_matrix
 from .visual_features import needle_features as needle_features
-from .visual_features import servo_velocity as servo_velocity
 from .visual_servo import VisualServo as VisualServo
 from .visual_servo import VisualServoParameters as VisualServoParameters

@@ -2,7 +2,6 @@
 
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 from itertools import compress
 from typing import Any
@@ -23,55 +22,22 @@ from sonoservo.systems.evaluation.run_errors import (
 from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.evaluation.success import TrackedVolumes, from_needle, run_outcome
 from sonoservo.systems.signals.needle_estimate import TrackingMode
-from sonoservo.systems.signals.requirements import Positive, check_bounds, require_not_negative
 from sonoservo.systems.signals.search_reason import ReasonCount, SearchReason
 
+_REST_SPEED, _REST_WINDOW, _REST_TIME = 0.2e-3, 1.0, 3.0
+"""Speed of the tip in W in m/s below which the needle is at rest; time in s over which it is
+measured, which averages out the hand's tremor; and time in s from then on until samples count as at
+rest, which excludes the probe's transient."""
 
-@dataclass(kw_only=True)
-class MetricsParameters:
-    """Thresholds of the metrics.
+_WELL_IN_VIEW = 15e-3
+"""Length in view in m above which an untracked needle counts as lost. If the log does not hold it,
+the length in the tissue is used."""
 
-    Parameters
-    ----------
-    rest_speed
-        Speed of the tip in W below which the needle is at rest, in m/s.
-    rest_window
-        Time over which that speed is measured, in s; it averages out the hand's tremor.
-    rest_time
-        Time from the needle's coming to rest until samples count as at rest, in s. It excludes
-        the probe's transient.
-    min_length
-        Length in view above which an untracked needle counts as lost, in m. If the log does not
-        hold the length in view, the length in the tissue is used.
-    start_tolerance
-        Distance from the needle beyond which a start of the tracker is false, in m.
-    force_target
-        Contact force that the controller aims at, in N; None if it changes.
-    contact_threshold
-        Force at and below which there is no contact, in N.
-    settling_time
-        Time from the first contact until the force counts as settled, in s.
-    """
-
-    rest_speed: Positive = 0.2e-3
-    rest_window: Positive = 1.0
-    rest_time: float = 3.0
-    min_length: float = 15e-3
-    start_tolerance: Positive = 10e-3
-    force_target: float | None = 2.0
-    contact_threshold: float = 0.05
-    settling_time: float = 2.0
-
-    def __post_init__(self) -> None:
-        check_bounds(self)
-        require_not_negative(
-            rest_time=self.rest_time,
-            min_length=self.min_length,
-            force_target=self.force_target or 0.0,
-            contact_threshold=self.contact_threshold,
-            settling_time=self.settling_time,
-        )
-
+START_TOLERANCE = (
+    10e-3  # distance from the needle beyond which a start of the tracker is false, in m
+)
+_NO_FORCE = 0.05  # force in N at and below which there is no contact
+_SETTLING = 2.0  # time in s from the first contact until the force counts as settled
 
 _APPROACH_TIME, _APPROACH_SPEED = 0.2, 1e-3
 """Time in s, and speed in m/s above which a probe without contact is on its way to the body."""
@@ -83,15 +49,17 @@ _NO_CONTACT = (
 )
 
 
-def summarize(log: RunLog, parameters: MetricsParameters | None = None) -> dict[str, Any]:
-    """Summarise a run in blocks of figures for JSON, by name; a figure without a value is None."""
-    parameters = parameters or MetricsParameters()
+def summarize(log: RunLog, force_target: float | None = 2.0) -> dict[str, Any]:
+    """Summarise a run in blocks of figures for JSON, by name; a figure without a value is None.
+
+    The controller aims at the force target in N; None if it changes.
+    """
     summary: dict[str, Any] = {
         "simulated_s": _number(log.time[-1] if len(log.time) else 0.0),
-        "detection": detection(log, parameters),
-        "tracking": tracking(log, parameters),
-        "servo": servo(log, parameters),
-        "force": force(log, parameters),
+        "detection": detection(log),
+        "tracking": tracking(log),
+        "servo": servo(log),
+        "force": force(log, force_target),
         "guard": guard(log),
         "compute_ms": {
             name: {"median": _number(_median(1e3 * t)), "max": _number(_max(1e3 * t))}
@@ -103,18 +71,18 @@ def summarize(log: RunLog, parameters: MetricsParameters | None = None) -> dict[
     return summary
 
 
-def detection(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
+def detection(log: RunLog) -> dict[str, Any]:
     """Summarise the detection: the first start of tracking that is not false.
 
     Returns `volume`, number of volumes before it; `inserted_mm`, `visible_mm`, true lengths then;
-    `false_starts` in the whole run, farther than `start_tolerance` from the needle or without one;
+    `false_starts` in the whole run, farther than `START_TOLERANCE` from the needle or without one;
     `reason`, `advice`: why nothing was found, and what to change.
     """
-    started, true = _starts(log, parameters)
+    started, true = _starts(log)
     right = started[true]
     first = int(right[0]) if len(right) else None
     reason, advice = missing_needle(log) if first is None else ("", "")
-    if first is None and force(log, parameters)["touched"] is False:
+    if first is None and force(log)["touched"] is False:
         reason, advice = "", _NO_CONTACT
 
     def length_mm(lengths: Floats) -> float | None:
@@ -132,29 +100,29 @@ def detection(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
     }
 
 
-def tracking(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
+def tracking(log: RunLog) -> dict[str, Any]:
     """Summarise the accuracy of tracking from the detection on, while a needle is in the tissue.
 
     Returns numbers of `volumes`: all, `tracked` (confirmed by the volume), `estimated`, `lost`
-    (untracked with more than `min_length` in view); `lost_events`, unless withdrawn meanwhile;
+    (untracked with more than 15 mm in view); `lost_events`, unless withdrawn meanwhile;
     `reasons` of volumes without an estimate; `absent_s`, `wrong_s`: time with an estimate but no
-    needle, or more than `start_tolerance` off; `absent_travel_mm` of the servo without a needle;
+    needle, or more than `START_TOLERANCE` off; `absent_travel_mm` of the servo without a needle;
     `consistency`; and errors with median, p95 and max: `tip_error_mm` in W,
     `tip_error_in_probe_mm`, `tip_axial_error_mm`, `tip_lateral_error_mm`, `axis_error_deg`; and
     `tip_axial_bias_mm`, positive beyond the true tip.
     """
-    judged = judged_volumes(log, parameters)
+    judged = judged_volumes(log)
     time = _estimate_times(log)
     length = at_times(log, log.inserted_length, time)
     visible = at_times(log, log.visible_length, time)
     tracked = log.volume_estimate_mode == TrackingMode.TRACKING
     in_view = np.where(np.isfinite(visible), visible, length)
-    lost = judged & ~tracked & (in_view > parameters.min_length)
+    lost = judged & ~tracked & (in_view > _WELL_IN_VIEW)
 
     errors, unknown = estimate_errors(log), ~is_known(log.volume_estimate_tip)
     followed = is_known(log.estimate_tip) & (log.estimate_mode != TrackingMode.LOST)
     absent = log.inserted_length == 0
-    right = from_needle(log, log.time, log.estimate_tip) <= parameters.start_tolerance
+    right = from_needle(log, log.time, log.estimate_tip) <= START_TOLERANCE
     judgeable = np.isfinite(log.inserted_length)
     speed = np.linalg.norm(log.planar_velocity[:, :2], axis=1)
     return {
@@ -162,7 +130,7 @@ def tracking(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
         "tracked": int(np.sum(judged & tracked)),
         "estimated": int(np.sum(judged & np.isfinite(errors.tip))),
         "lost": int(np.sum(lost)),
-        "lost_events": _losses(lost, in_view, length, parameters.min_length),
+        "lost_events": _losses(lost, in_view, length),
         "reasons": ReasonCount(compress(volume_reasons(log), unknown)).words,
         "absent_s": _seconds(followed & absent, log.time),
         "wrong_s": _seconds(followed & judgeable & ~right, log.time),
@@ -177,34 +145,34 @@ def tracking(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
     }
 
 
-def _losses(lost: Mask, in_view: Floats, length: Floats, min_length: float) -> int:
+def _losses(lost: Mask, in_view: Floats, length: Floats) -> int:
     """Return how often a needle became lost, unless it was withdrawn from the view meanwhile."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], lost, [False]]).astype(int)))
     count = 0
     for start, stop in edges.reshape(-1, 2):
-        gone = stop < len(lost) and in_view[stop] <= min_length and length[stop] < length[start]
+        gone = stop < len(lost) and in_view[stop] <= _WELL_IN_VIEW and length[stop] < length[start]
         count += not gone
     return count
 
 
-def judged_volumes(log: RunLog, parameters: MetricsParameters) -> Mask:
+def judged_volumes(log: RunLog) -> Mask:
     """Return a (v,) mask of the volumes since the detection with the needle in the tissue."""
-    started, true = _starts(log, parameters)
+    started, true = _starts(log)
     right = started[true]
     length = at_times(log, log.inserted_length, _estimate_times(log))
     after = np.arange(len(length)) >= (right[0] if len(right) else len(length))
     return after & (np.nan_to_num(length) > 0)
 
 
-def servo(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
+def servo(log: RunLog) -> dict[str, Any]:
     """Return the mean absolute errors of the visual features in P (Chatelain 2013, eq. 23).
 
-    Returns x_mm, z_mm, theta_deg and seconds `at_rest` (true needle, resting in W for `rest_time`
+    Returns x_mm, z_mm, theta_deg and seconds `at_rest` (true needle, resting in W for 3 s
     and tracked), `at_rest_estimated` (from the measured pose) and `moving`.
     """
     tracked = log.estimate_mode == TrackingMode.TRACKING
-    moves = needle_speed(log, parameters.rest_window) >= parameters.rest_speed
-    rest = at_rest(log, parameters)
+    moves = needle_speed(log, _REST_WINDOW) >= _REST_SPEED
+    rest = at_rest(log)
     true = features(log.X_WP, log.needle_tip, log.needle_entry)
     estimated = features(log.measured_X_WP, log.estimate_tip, log.estimate_entry)
     return {
@@ -214,21 +182,20 @@ def servo(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
     }
 
 
-def at_rest(log: RunLog, parameters: MetricsParameters | None = None) -> Mask:
-    """Return an (n,) mask of the samples at which the needle has rested for `rest_time`."""
-    p = parameters or MetricsParameters()
-    moves = needle_speed(log, p.rest_window) >= p.rest_speed
-    return _held(~moves & is_known(log.needle_tip), log.time, p.rest_time)
+def at_rest(log: RunLog) -> Mask:
+    """Return an (n,) mask of the samples at which the needle has rested for 3 s."""
+    moves = needle_speed(log, _REST_WINDOW) >= _REST_SPEED
+    return _held(~moves & is_known(log.needle_tip), log.time, _REST_TIME)
 
 
-def force(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
+def force(log: RunLog, target: float | None = None) -> dict[str, Any]:
     """Summarise the true contact force.
 
     Returns `touched` (None without a force, or on the way to the body), `mean_n` and `rms_error_n`
-    from `settling_time` after the first contact on, `max_n` of all samples, `contact_lost_s`.
+    from 2 s after the first contact on, `max_n` of all samples, `contact_lost_s`.
     """
     value = log.contact_force
-    touching = value > parameters.contact_threshold
+    touching = value > _NO_FORCE
     if not touching.any():
         return {
             "touched": False if np.isfinite(value).any() and not _lands(log) else None,
@@ -236,8 +203,7 @@ def force(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
             "contact_lost_s": None,
         }  # fmt: skip
     first = log.time[np.argmax(touching)]
-    settled = value[log.time >= first + parameters.settling_time]
-    target = parameters.force_target
+    settled = value[log.time >= first + _SETTLING]
     error = settled - (np.nan if target is None else target)
     return {
         "touched": True,
@@ -276,12 +242,12 @@ def _estimate_times(log: RunLog) -> Floats:
     return np.where(known, log.volume_estimate_time, log.volume_time)
 
 
-def _starts(log: RunLog, parameters: MetricsParameters) -> tuple[NDArray[np.intp], Mask]:
+def _starts(log: RunLog) -> tuple[NDArray[np.intp], Mask]:
     """Return the volumes with which tracking began, and a mask of those that are not false."""
     followed = log.volume_estimate_mode != TrackingMode.LOST
     started = np.flatnonzero(_begins(is_known(log.volume_estimate_tip) & followed))
     time, p = log.volume_estimate_time[started], log.volume_estimate_tip[started]
-    return started, from_needle(log, time, p) <= parameters.start_tolerance
+    return started, from_needle(log, time, p) <= START_TOLERANCE
 
 
 def _begins(condition: Mask) -> Mask:

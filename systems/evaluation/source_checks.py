@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.stats import t as student
 
 from sonoservo.systems.calibration.pose_errors import PoseErrors
+from sonoservo.systems.files.volume_file import MAX_STEP
 from sonoservo.systems.sampling.interpolation import sample_grid
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.reconstructed_volume import ReconstructedVolume
@@ -89,6 +90,12 @@ class _Fault(Enum):
 
     NO_TIME = (Check.RATE, Grade.WRONG, "no time stamp of {count} {what} advances",
                "let the program that acquires them write the time of each")  # fmt: skip
+    SLOW = (
+        Check.RATE,
+        Grade.DOUBTFUL,
+        "two {what} are {period:.3g} s apart",
+        "are time stamps in ms? They must be in s; else give the rate (--volume-rate)",
+    )
     JITTER = (Check.RATE, Grade.DOUBTFUL, "the time between two {what} varies by {share:.0f} %",
               "let time stamps be those of acquisition, not of arrival or of writing")  # fmt: skip
     GAPS = (Check.RATE, Grade.DOUBTFUL,
@@ -173,6 +180,8 @@ def check_times(times: ArrayLike, what: str = "volumes") -> list[Finding]:
     jitter = float(np.sqrt(np.mean(np.clip(rising / period - 1, -_GAP, _GAP - 1) ** 2)))
     rate = f"{1 / period:.3g} {what} a second over {known.max() - known.min():.3g} s"
     findings = [_fine(Check.RATE, f"{rate}, jitter {1e3 * jitter * period:.1f} ms")]
+    if period > MAX_STEP:
+        findings.append(_Fault.SLOW(what=what, period=period))
     if jitter > _JITTER:
         findings.append(_Fault.JITTER(what=what, share=100 * jitter))
     gaps = rising[rising > _GAP * period]
@@ -319,8 +328,8 @@ def check_delay(found: tuple[float, float] | NotFound) -> list[Finding]:
 
 
 def _late(delay: float, half: float) -> str:
-    ends = f"{1e3 * (delay - half):.0f} to {1e3 * (delay + half):.0f}"
-    return f"poses are late by {1e3 * delay:.0f} ms (95 %: {ends})"
+    middle, low, high = (round(1e3 * each) for each in (delay, delay - half, delay + half))
+    return f"poses are late by {middle} ms (95 %: {low} to {high})"
 
 
 def sort_findings(findings: Sequence[Finding]) -> list[Finding]:

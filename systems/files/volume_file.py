@@ -54,8 +54,8 @@ SECONDS = {
 }
 """Units of time in headers, in s."""
 
-MAX_STEP = 20.0
-"""Largest time between volumes that is one in s rather than in another unit, in s."""
+MAX_STEP = 5.0
+"""Time in s that no scanner takes for a volume or frame: what is larger is in another unit."""
 
 MAX_FILES = 10_000
 """Largest number of data files that a header may name."""

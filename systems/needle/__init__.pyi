@@ -1,13 +1,7 @@
-from .beam_path import BeamPath as BeamPath
 from .hand import Hand as Hand
 from .hand import OperatorHand as OperatorHand
 from .hand import OperatorHandParameters as OperatorHandParameters
-from .hand import OperatorInsertion as OperatorInsertion
-from .insertion import Feed as Feed
-from .insertion import HandMotion as HandMotion
 from .insertion import Insertion as Insertion
-from .insertion import NeedleMotion as NeedleMotion
 from .insertion_parameters import FeedParameters as FeedParameters
 from .insertion_parameters import InsertionParameters as InsertionParameters
 from .insertion_parameters import Push as Push
-from .steered_path import SteeredPath as SteeredPath

@@ -1,11 +1,7 @@
-from .nrrd import write_mask as write_mask
 from .nrrd import write_volume as write_volume
 from .recording import Recording as Recording
 from .recording_writer import RecordingWriter as RecordingWriter
-from .recording_writer import SweepWriter as SweepWriter
-from .side_files import Truth as Truth
 from .side_files import read_truth as read_truth
-from .tracked_frames import TrackedFrames as TrackedFrames
 from .volume_collector import VolumeCollector as VolumeCollector
 from .volume_player import VolumePlayer as VolumePlayer
 from .volume_recorder import VolumeRecorder as VolumeRecorder

@@ -17,7 +17,7 @@ from sonoservo.systems.recording.grey_levels import (
     void_flags,
     window_of_first,
 )
-from sonoservo.systems.recording.transform_chain import TransformChain
+from sonoservo.systems.recording.transform_chain import TransformChain, find_chain
 from sonoservo.systems.recording.valid_frames import choose_items, frame_times
 from sonoservo.systems.signals.requirements import require_within
 
@@ -47,9 +47,19 @@ class FileItems:
         self._fields = self.file.frame_fields()
         self.notes = list(self.file.notes)
         self.numbers: Sequence[int] = ()
+        self._constants: dict[str, NDArray[np.float64]] = {}
 
     def __len__(self) -> int:
         return len(self.numbers)
+
+    def _find_chain(
+        self, poses: str | None, transforms: Mapping[str, NDArray[np.float64]] | None
+    ) -> TransformChain | None:
+        """Return the chain of the transforms, in the file and constant, that gives the poses."""
+        self._constants = dict(transforms or {})
+        own = [name for name in self._fields if name.endswith("Transform")]
+        self._transforms = [*own, *self._constants] if own else []
+        return find_chain(self.path, self._transforms, poses)
 
     def _stated_times(self, rate: float | None) -> NDArray[np.float64]:
         """Return the times of all items by their rate in Hz, by their stamps or by the file."""
@@ -69,14 +79,11 @@ class FileItems:
         )
 
     def _choose(
-        self,
-        chain: TransformChain | None,
-        constants: Mapping[str, NDArray[np.float64]],
-        times: NDArray[np.float64],
+        self, chain: TransformChain | None, times: NDArray[np.float64]
     ) -> NDArray[np.float64]:
         """Choose the usable items, and return their (n, 4, 4) poses by the chain, in mm."""
         items = choose_items(
-            self.path, self.file.count, self._fields, chain, constants, times, self.what
+            self.path, self.file.count, self._fields, chain, self._constants, times, self.what
         )
         self.numbers, self.times = items.numbers.tolist(), items.times
         self.skipped = self.file.count - len(self.numbers)

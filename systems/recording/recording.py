@@ -19,7 +19,6 @@ from sonoservo.systems.recording.side_files import (
     read_acquisition,
     side_path,
 )
-from sonoservo.systems.recording.transform_chain import find_chain
 from sonoservo.systems.signals.immutable import seal
 from sonoservo.systems.signals.requirements import require_within
 from sonoservo.systems.signals.sweep import DECIBELS_PER_LEVEL, DYNAMIC_RANGE_DB
@@ -90,17 +89,16 @@ class Recording(FileItems):
             super().__init__(path, orientation, void, luminance)
             file = self.file
             self._acquisition = self._read_acquisition(depth)
-            constants, chain = dict(transforms or {}), None
+            chain = None
             if self._acquisition is None:
-                names = [name for name in self._fields if name.endswith("Transform")]
-                chain = find_chain(self.path, [*names, *constants] if names else [], poses)
+                chain = self._find_chain(poses, transforms)
                 times = self._stated_times(volume_rate)
             else:
                 times = np.array(self._acquisition.times[: file.count])
             self.posed = bool(self._acquisition) or chain is not None
             self.settings: dict[str, Any] = self._acquisition.settings if self._acquisition else {}
             self._decibels_per_level = self._scale(dynamic_range_db)
-            matrices = self._choose(chain, constants, times)
+            matrices = self._choose(chain, times)
             directions, origin = _spacing_of_volumes(self.path, self._fields, file)
             if chain is not None and chain.start.startswith("Image"):
                 directions, origin = _pixel_grid(directions, origin, matrices[0])

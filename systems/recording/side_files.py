@@ -135,7 +135,7 @@ def read_acquisition(path: Path) -> Acquisition:
     """Read the acquisition of a recording; ConfigurationError if it is damaged."""
     with refusing_failures(path, "damaged"):
         acquisition = parse_acquisition(*_read_lines(path))
-        check_times(path, np.array(acquisition.times), range(len(acquisition.times)))
+        check_times(path, np.array(acquisition.times))
         return acquisition
 
 
@@ -224,7 +224,7 @@ def read_truth(path: Path) -> Truth:
         first, lines = _read_lines(path)
         require(len(lines) > 0, "samples", 0, "at least 1")
         times = np.array([line["time"] for line in lines], float)
-        check_times(path, times, range(len(times)), "sample")
+        check_times(path, times, "sample")
         radius, force = first["needle_radius"], [line["contact_force"] for line in lines]
         require_within("needle_radius", radius, 1e-5, 1e-2)
         needles = [_needle(line["needle"], radius) for line in lines]

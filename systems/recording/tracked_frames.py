@@ -44,16 +44,13 @@ class TrackedFrames(FileItems):
         self.void: set[int] = set()
         with refusing_failures(path):
             super().__init__(path, orientation, void, luminance)
-            constants = dict(transforms or {})
-            names = [name for name in self._fields if name.endswith("Transform")]
-            chain = find_chain(self.path, [*names, *constants], poses) if names else None
+            chain = self._find_chain(poses, transforms)
             if chain is None:
                 raise ConfigurationError(
                     f"{self.path}: its frames have no poses, which reconstruction needs"
                 )
-            chain = self._from_the_image(chain, [name.removesuffix("Transform") for name in
-                                                 (*names, *constants)])  # fmt: skip
-            matrices = self._choose(chain, constants, self._stated_times(frame_rate))
+            chain = self._from_the_image(chain)
+            matrices = self._choose(chain, self._stated_times(frame_rate))
             if len(self) < 2:
                 raise ConfigurationError(
                     f"{self.path}: {len(self)} frames have a valid pose; at least 2 are needed"
@@ -66,10 +63,11 @@ class TrackedFrames(FileItems):
             self._clip = self._cut(clip)
             self._window = GreyWindow(*window) if window else self._choose_window()
 
-    def _from_the_image(self, chain: TransformChain, names: list[str]) -> TransformChain:
+    def _from_the_image(self, chain: TransformChain) -> TransformChain:
         """Return a chain that begins at the image, if only the calibration is missing in it."""
         if chain.start.startswith("Image"):
             return chain
+        names = [name.removesuffix("Transform") for name in self._transforms]
         own = find_chain(self.path, names, f"ImageTo{chain.start}") if (
             f"ImageTo{chain.start}" in names or f"{chain.start}ToImage" in names
         ) else None  # fmt: skip

@@ -1,7 +1,7 @@
 """Choice of the valid volumes or frames of a file, with their poses and times."""
 
 from bisect import bisect_right
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -124,22 +124,13 @@ def frame_times(count: int, stamps: Mapping[int, str]) -> NDArray[np.float64]:
     return times
 
 
-def check_times(
-    path: Path, times: NDArray[np.float64], numbers: Iterable[int], what: str = "volume"
-) -> None:
+def check_times(path: Path, times: NDArray[np.float64], what: str = "volume") -> None:
     """Refuse (n,) times in s of volumes or frames that are not plausible, or do not rise."""
-    plausible = np.abs(times) <= MAX_TIME
-    rising = np.concatenate([[True], np.diff(times) >= _MIN_STEP])
-    wrong = np.flatnonzero(~(plausible & rising))
+    wrong = np.flatnonzero(~rising(times))
     if len(wrong):
-        number, time = list(numbers)[wrong[0]], times[wrong[0]]
-        if np.isfinite(time) and not plausible[wrong[0]]:
-            raise ConfigurationError(
-                f"{path}: the time of {what} {number}, {time:g} s, is out of range "
-                f"(+-{MAX_TIME:g} s)"
-            )
         raise ConfigurationError(
-            f"{path}: the time of {what} {number} is missing, or not later than the one before"
+            f"{path}: the time of {what} {wrong[0]}, {times[wrong[0]]:g} s, is missing, out of "
+            f"range (+-{MAX_TIME:g} s), or not later than the one before"
         )
 
 

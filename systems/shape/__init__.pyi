@@ -4,10 +4,6 @@ from .cross_section_memory import CrossSectionMemory as CrossSectionMemory
 from .shape_estimator import ShapeEstimator as ShapeEstimator
 from .shape_filter import ShapeEstimatorParameters as ShapeEstimatorParameters
 from .shape_filter import ShapeFilter as ShapeFilter
-from .shape_filter import ShapePaths as ShapePaths
-from .shape_filters import ShapeFilterChoice as ShapeFilterChoice
 from .shape_least_squares import ShapeLeastSquaresParameters as ShapeLeastSquaresParameters
-from .shape_particle_filter import ShapeParticleFilter as ShapeParticleFilter
 from .shape_posterior import ShapeParticleFilterParameters as ShapeParticleFilterParameters
 from .shape_posterior import WanderParameters as WanderParameters
-from .shape_posterior import combined_wander as combined_wander

@@ -9,8 +9,6 @@ from .image_slice import ImageClick as ImageClick
 from .image_slice import ImageSlice as ImageSlice
 from .immutable import Immutable as Immutable
 from .immutable import NotFound as NotFound
-from .immutable import read_only as read_only
-from .immutable import seal as seal
 from .insertion_detection import InsertionDetection as InsertionDetection
 from .line_hypotheses import LineHypotheses as LineHypotheses
 from .localization_explanation import AxisProfile as AxisProfile
@@ -37,9 +35,6 @@ from .ports import evaluate as evaluate
 from .radio_frequency_sweep import RadioFrequencySweep as RadioFrequencySweep
 from .reconstructed_volume import ReconstructedVolume as ReconstructedVolume
 from .requirements import Bounded as Bounded
-from .requirements import check_bounds as check_bounds
-from .requirements import require as require
-from .requirements import require_not_negative as require_not_negative
 from .requirements import require_positive as require_positive
 from .search_reason import Reason as Reason
 from .search_reason import ReasonCount as ReasonCount

@@ -60,7 +60,7 @@ _WEIGHTS = {
 """Weights of a line's looks in the logarithm of the odds that it is the needle of a volume, rather
 than that there is none, if every second volume has one. They are those of a conditional logit (a
 volume has one needle or none) on the lines of own scans and painted images, seeds 1000 to 1259, two
-of three, made and fitted by ``python -m looks_study`` (tests/helpers)."""
+of three, made and fitted by ``python -m looks_study`` (tests/tools)."""
 
 
 def line_looks(

@@ -61,9 +61,11 @@ class VolumePlausibilityParameters:
 
 def is_noise(volume: Volume) -> bool:
     """Whether neighbouring voxels have nothing to do with each other, as in no image by sound."""
+    if not volume.seen.any():
+        return False
     levels = np.where(volume.seen, volume.intensities, np.nan).astype(np.float64)
-    levels -= np.nanmean(levels) if volume.seen.any() else 0.0
-    variance = np.nanmean(levels**2) if volume.seen.any() else 0.0
+    levels -= np.nanmean(levels)
+    variance = np.nanmean(levels**2)
     together = [
         np.nanmean(np.take(levels, range(1, n), axis) * np.take(levels, range(n - 1), axis))
         for axis, n in enumerate(levels.shape)

@@ -17,7 +17,7 @@ from sonoservo.systems.ultrasound.imaging import ImagingParameters
 from sonoservo.systems.ultrasound.simulation.needles.needle_echo import NeedleEchoParameters
 from sonoservo.systems.ultrasound.simulation.rendering import SweepRenderer
 from sonoservo.systems.ultrasound.simulation.scanner_parameters import ScannerParameters
-from sonoservo.systems.ultrasound.simulation.structures import (
+from sonoservo.systems.ultrasound.simulation.structures.kinds import (
     Bone,
     Calcification,
     Fascia,

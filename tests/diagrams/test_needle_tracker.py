@@ -8,9 +8,11 @@ from pydrake.systems.framework import LeafSystem
 from synthetic_volumes import Scene, entry_on_side
 
 from sonoservo.diagrams.needle_tracker import MakeNeedleTracker, require_tracker
-from sonoservo.diagrams.papers.chatelain2013.method import Chatelain2013AsPublishedParameters
 from sonoservo.diagrams.papers.chatelain2013.method.detection import PublishedDetectionParameters
-from sonoservo.diagrams.papers.zhao2012.method import Zhao2012AsPublishedParameters
+from sonoservo.diagrams.papers.chatelain2013.method.tracker import (
+    Chatelain2013AsPublishedParameters,
+)
+from sonoservo.diagrams.papers.zhao2012.method.tracker import Zhao2012AsPublishedParameters
 from sonoservo.diagrams.tracker_bench import track
 from sonoservo.diagrams.trackers import (
     Chatelain2013TrackerParameters,

@@ -10,8 +10,10 @@ from pydrake.multibody.plant import MultibodyPlantConfig
 from sonoservo.diagrams import run
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
 from sonoservo.diagrams.experiments.registry import list_scenarios, load_scenario
-from sonoservo.diagrams.papers.chatelain2013.method import Chatelain2013AsPublishedParameters
-from sonoservo.diagrams.papers.zhao2012.method import Zhao2012AsPublishedParameters
+from sonoservo.diagrams.papers.chatelain2013.method.tracker import (
+    Chatelain2013AsPublishedParameters,
+)
+from sonoservo.diagrams.papers.zhao2012.method.tracker import Zhao2012AsPublishedParameters
 from sonoservo.diagrams.station import StationParameters
 from sonoservo.diagrams.trackers import (
     Zhao2012TrackerParameters,

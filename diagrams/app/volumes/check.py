@@ -231,7 +231,7 @@ def _check_frames(checked: CheckedSource, volumes: ReconstructedRecording) -> No
         checked.note(Check.LEFT_OUT, text, Grade.DOUBTFUL, advice)
     checked.findings += _check_header(file, volumes.frame_times, "frames")
     volume = volumes[len(volumes) // 2]
-    checked.note(Check.GRID, f"{len(volumes)} sweeps make a volume each")
+    checked.note(Check.GRID, f"sweeps, each of which makes a volume: {len(volumes)}")
     checked.show(volume, volume.X_WP.rotation())
     few = range(min(len(volumes), _SWEEPS))
     checked.findings += check_delay(sweep_delay([volumes.sweep(number) for number in few]))

@@ -23,6 +23,7 @@ def estimate_row(tracked: Tracked, *, posed: bool) -> dict[str, Any]:
         "time_s": tracked.volume.time,
         "mode": str(estimate.mode),
         "estimate_time_s": estimate.time,
+        "probability": estimate.probability,
     }
     entry = middle = tip = velocity = w_tip = np.full(3, np.nan)
     covariance = np.full((3, 3), np.nan)

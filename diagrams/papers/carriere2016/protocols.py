@@ -68,6 +68,13 @@ PROTOCOLS: Mapping[str, Protocol] = {
         f"{name}, elastic needle": Protocol(f"carriere2016_{name}", 20, 1, _ELASTIC, learnt="even")
         for name in SETS
     },
+    "d80, radii of 1.2 to 1.8 m": Protocol(
+        "carriere2016_d80",
+        20,
+        1,
+        ("hand.bend_radius=1.5", "hand.bend_radius_spread=0.3"),
+        learnt="even",
+    ),
     "second needle beside": _departure("phantom=beef_two_needles"),
 }
 """Protocol of each experiment, by name."""
@@ -75,10 +82,9 @@ PROTOCOLS: Mapping[str, Protocol] = {
 SWEEPS: Mapping[str, Mapping[str, Sequence[str]]] = {
     "gamma": {f"{gain:g}": [f"published.gain={gain}"] for gain in (0.02, 0.05, 0.1, 0.2, 0.3, 0.5)},
     "n": {f"{n}": [f"published.particles={n}"] for n in (50, 100, 500, 2000)},
-    "h": {f"{1e3 * h:g} mm": [f"tracker.template=[6.0e-3, {h}]"] for h in (2e-3, 4e-3, 6e-3, 9e-3)},
-    "w": {f"{1e3 * w:g} mm": [f"tracker.template=[{w}, 6.0e-3]"] for w in (2e-3, 4e-3, 6e-3, 9e-3)},
+    "template": {f"{h} mm": [f"tracker.template=[{h}e-3, {h}e-3]"] for h in (2, 3, 4, 6, 9)},
 }
 """Changes of the published method by parameter and value; the published one is among them."""
 
-SWEPT, SWEEP_SEEDS = "d60", 20
-"""Experiment whose first needles the parameters are swept on, and the number of these needles."""
+SWEEP_SEEDS = 20
+"""Number of the first needles of each set of the paper on which the parameters are swept."""

@@ -15,8 +15,8 @@ from sonoservo.diagrams.papers.carriere2016.protocols import (
     LESSONS,
     PROTOCOLS,
     QUICK_LESSON_SEEDS,
+    SETS,
     SWEEP_SEEDS,
-    SWEPT,
 )
 from sonoservo.diagrams.papers.carriere2016.report import report
 from sonoservo.diagrams.papers.carriere2016.runs import UNTAUGHT, run_needle, teach
@@ -37,8 +37,9 @@ def reproduce(options: StudyOptions) -> Study:
             "whole": protocol.whole,
             "wander": lessons.get(protocol.learnt),
         }
+        swept = (1 if options.quick else SWEEP_SEEDS) if name in SETS else 0
         for number, seed in enumerate(options.seed_range(protocol.seeds, protocol.quick)):
-            more = {"sweeps": name == SWEPT and number < SWEEP_SEEDS, "keep": number == 0}
+            more = {"sweeps": number < swept, "keep": number == 0}
             cases.append(Case(name, seed, {**settings, **more}))
     outcomes = run_study(run_needle, cases, options)
     return report(outcomes, pictured=True)

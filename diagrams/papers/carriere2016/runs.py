@@ -45,6 +45,12 @@ TAUGHT, AS_PUBLISHED, EXACT = "taught", "as_published", "exact"
 """Names of the methods beside `ESTIMATORS`: our particle filter with the learnt wander, the whole
 published method, and the printed filter on cross-sections without any error."""
 
+SWEPT_ERRORS = (
+    "tip_error_true_mm", "tip_error_measured_mm",
+    "shape_error_true_mm2", "shape_error_measured_mm2",
+)  # fmt: skip
+"""Names of the errors that are kept of a sweep."""
+
 UNTAUGHT = WanderParameters(spread=1.0, across_spread=1.0)
 """Distribution of the wander before the first needle is seen."""
 
@@ -231,23 +237,20 @@ def _bound(experiment: ShapePredictionExperiment, log: ShapeLog) -> dict[str, fl
 def _sweeps(
     experiment: ShapePredictionExperiment, case: Case, slices: Sequence[ImageSlice], log: ShapeLog
 ) -> Mapping[str, Mapping[str, Any]]:
-    """Return the published method's true errors with each value of each parameter.
+    """Return the published method's errors with each value of each parameter.
 
     A method that gives no shape has no errors.
     """
-    used = slices[
-        : round((experiment.scenario.observe_until or 1.0) / experiment.scenario.step) + 1
-    ]
     results: dict[str, dict[str, Any]] = {}
     for name, values in SWEEPS.items():
         results[name] = {}
         for value, changes in values.items():
             predictor = experiment.make_predictor(_published(experiment, case, changes))
-            shape = predict_from_slices(predictor, used)[1][-1]
-            figures = prediction(log, shape) if isinstance(shape, NeedleShape) else {}
-            results[name][value] = {
-                key: figures.get(key) for key in ("tip_error_true_mm", "shape_error_true_mm2")
-            }
+            found, shapes = predict_from_slices(predictor, slices)
+            figures: Mapping[str, Any] = {}
+            if isinstance(shapes[-1], NeedleShape):
+                figures = prediction(_with(log, experiment, found), shapes[-1])
+            results[name][value] = {key: figures.get(key) for key in SWEPT_ERRORS}
     return results
 
 

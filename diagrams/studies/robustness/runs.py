@@ -15,7 +15,7 @@ from sonoservo.diagrams.studies.robustness.search_path import SearchPath
 from sonoservo.diagrams.studies.robustness.turned_dials import scenario_of
 from sonoservo.diagrams.studies.study import Case
 from sonoservo.diagrams.tracker_bench import log_of
-from sonoservo.systems.evaluation.metrics import MetricsParameters, detection
+from sonoservo.systems.evaluation.metrics import detection
 from sonoservo.systems.evaluation.run_errors import at_times, in_frame, inside_stated
 from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.evaluation.success import conspicuous_length, judged_errors
@@ -107,7 +107,7 @@ def record(
         "axis_deg": np.rad2deg(axis),
         "tracking": log.volume_estimate_mode == TrackingMode.TRACKING,
         "conspicuous_mm": 1e3 * conspicuous,
-        "false_starts": detection(log, MetricsParameters())["false_starts"],
+        "false_starts": detection(log)["false_starts"],
         "seconds": float(log.time[-1]),
         "shown_s": float(steps[ghost].sum()),
         "travel_mm": 1e3 * travel if np.isfinite(speed).any() else None,

@@ -3,7 +3,3 @@
 The page is served by an embedded Bokeh server behind the site's rule. It imports `display` and
 everything that `display` imports. Bokeh is imported only when a console is opened.
 """
-
-from lazy_loader import attach_stub
-
-__getattr__, __dir__, __all__ = attach_stub(__name__, __file__)

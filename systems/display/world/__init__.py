@@ -3,7 +3,3 @@
 It shows the probe, the phantom, the needle, its estimate and the slices, and it holds the
 operator's controls. It imports `display` and everything that `display` imports.
 """
-
-from lazy_loader import attach_stub
-
-__getattr__, __dir__, __all__ = attach_stub(__name__, __file__)

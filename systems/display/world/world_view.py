@@ -77,8 +77,6 @@ class WorldViewParameters(Bounded):
         default, probe and phantom fill the frame, and the needle is seen.
     field_of_view_deg
         Field of view of the camera, from the lower edge of the view to the upper one, in deg.
-    phase_position
-        Position of the tracking mode in the replay, in W, in m.
     """
 
     publish_period: Positive = 3 / 32
@@ -89,7 +87,6 @@ class WorldViewParameters(Bounded):
     camera: Point = field(default_factory=lambda: [0.86, -0.54, 0.40])
     camera_target: Point = field(default_factory=lambda: [0.46, -0.02, 0.22])
     field_of_view_deg: Annotated[float, between(0, 180)] = 42.0
-    phase_position: Point = field(default_factory=lambda: [0.565, 0.063, 0.34])
 
 
 class WorldView(LeafSystem):
@@ -174,8 +171,11 @@ class WorldView(LeafSystem):
         self._phase = Label(meshcat=meshcat, path=f"{path}/phase", height=0.03, width=_SIGN)
         self._reason = Label(meshcat=meshcat, path=f"{path}/phase/reason", height=0.03, width=_SIGN)
         meshcat.SetTransform(f"{path}/phase/reason", RigidTransform([0.0, 0.04, 0.0]))
-        X_WPhase = RigidTransform(R, np.array(parameters.phase_position))
-        meshcat.SetTransform(f"{path}/phase", X_WPhase)
+        # Low in the view and before all it shows, where a narrow page has room for it, too.
+        away = 0.8 * float(np.linalg.norm(np.subtract(parameters.camera_target, parameters.camera)))
+        low = 0.65 * away * np.tan(0.5 * np.deg2rad(parameters.field_of_view_deg))
+        p_WPhase = parameters.camera + R @ [0.0, low, away]
+        meshcat.SetTransform(f"{path}/phase", RigidTransform(R, p_WPhase))
         # The live page has it beside the view.
         meshcat.SetProperty(f"{path}/phase", "visible", False)
         meshcat.get_mutable_recording().SetProperty(0, f"{path}/phase", "visible", True)

@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from sonoservo.systems.evaluation.metrics import MetricsParameters, at_rest, judged_volumes
+from sonoservo.systems.evaluation.metrics import at_rest, judged_volumes
 from sonoservo.systems.evaluation.reports.track_plots import PlanePicture, VolumePictures
 from sonoservo.systems.evaluation.run_errors import at_times, estimate_errors, in_frame
 from sonoservo.systems.evaluation.run_log import RunLog
@@ -41,10 +41,9 @@ def plot_key_frames(log: RunLog, pictures: Sequence[VolumePictures]) -> dict[str
     return figures
 
 
-def key_volumes(log: RunLog, parameters: MetricsParameters | None = None) -> dict[int, str]:
+def key_volumes(log: RunLog) -> dict[int, str]:
     """Return words on each telling volume by number: detection, loss, largest error, rest."""
-    parameters = parameters or MetricsParameters()
-    judged = judged_volumes(log, parameters)
+    judged = judged_volumes(log)
     if not judged.any():
         visible = at_times(log, log.visible_length, log.volume_true_time)
         shown = int(np.argmax(np.nan_to_num(visible)))
@@ -66,7 +65,7 @@ def key_volumes(log: RunLog, parameters: MetricsParameters | None = None) -> dic
         parts = f"{1e3 * along:.2f} mm along the needle, {1e3 * across:.2f} mm across it"
         words = f"the largest error of the tip, {1e3 * tip[worst]:.2f} mm ({parts})"
         tell(np.array([worst]), 0, words)
-    rests = at_times(log, at_rest(log, parameters).astype(float)[:, np.newaxis], log.volume_time)
+    rests = at_times(log, at_rest(log).astype(float)[:, np.newaxis], log.volume_time)
     tracked = log.volume_estimate_mode == TrackingMode.TRACKING
     tell(np.flatnonzero(judged & tracked & (rests[:, 0] > 0.5)), -1, "the needle is at rest")
     return {volume: ", and ".join(moments[volume]) for volume in sorted(moments)}

@@ -14,8 +14,8 @@ from pydrake.math import RigidTransform, RotationMatrix
 from sonoservo.diagrams.app.scan import scan, summarize_scan
 from sonoservo.diagrams.experiments.registry import load_scenario
 from sonoservo.systems.files.refusals import ConfigurationError
-from sonoservo.systems.ultrasound.simulation.anatomy import liver_label_map, write_label_map
-from sonoservo.systems.ultrasound.simulation.anatomy.anatomies import LIVER_LABELS
+from sonoservo.systems.ultrasound.simulation.anatomy.anatomies import LIVER_LABELS, liver_label_map
+from sonoservo.systems.ultrasound.simulation.anatomy.label_map import write_label_map
 
 SCENARIO = "chatelain2013_fig5"
 

@@ -2,6 +2,8 @@
 
 import subprocess
 import sys
+from collections import Counter
+from functools import partial
 
 import gymnasium
 import numpy as np
@@ -16,14 +18,15 @@ from sonoservo.systems.files.refusals import ConfigurationError
 CHANGES = (
     "hand.start=0.0",
     "hand.pushes=[{duration: 2.0, speed: 0.04}, {duration: 10.0, speed: 0.0}]",
-    "scan_conversion.spacing=[2e-3, 2e-3, 2e-3]",
-    "imaging.frame_pitch_deg=4.0",
-    "tracker=zhao2012",
+    "station.plant.contact_model=point",
+    "scan_conversion.spacing=[3e-3, 3e-3, 3e-3]",
+    "imaging={frame_pitch_deg: 6.0, frames: 9, sector: 0.4, depth: 0.06}",
 )
+"""A small and coarse image, since what is tested is not in it."""
 
 
-def make(**options):
-    return gymnasium.make(ENVIRONMENT, changes=CHANGES, **options)
+# Gymnasium imports what stands before the colon, also in processes that know nothing else.
+make = partial(gymnasium.make, f"sonoservo.diagrams.environment:{ENVIRONMENT}", changes=CHANGES)
 
 
 @pytest.mark.filterwarnings("ignore:.*render.*")
@@ -47,7 +50,6 @@ def test_an_episode_is_repeated_bit_for_bit_from_seed_and_actions():
     for (a, reward), (b, other) in zip(first[1:], second[1:], strict=True):
         np.testing.assert_array_equal(a, b)
         assert reward == other
-    assert episode(12, [])[0] != drawn
 
 
 def test_the_agent_moves_the_probe_and_presses_it():
@@ -79,17 +81,24 @@ def test_random_actions_end_in_no_error_and_below_the_limit_of_the_force():
 
 
 @pytest.mark.slow
-def test_ten_thousand_random_actions_end_in_no_error():
-    env, rng = make(randomize=1.0), np.random.default_rng(6)
-    env.reset(seed=100)
-    for _ in range(10_000):
-        *_, ended, cut, info = env.step(rng.uniform(-1, 1, 4).astype(np.float32))
-        assert info["contact_force"] < 10
+@pytest.mark.parametrize("seed", range(100, 110))
+def test_ten_thousand_random_actions_end_in_no_error(seed):
+    env, rng = make(randomize=1.0), np.random.default_rng(seed)
+    env.reset(seed=seed)
+    largest, ends, action = 0.0, Counter(), np.zeros(4, np.float32)
+    for _ in range(1000):
+        if rng.random() < 0.3:  # kept for a second: what is drawn anew each time leads nowhere
+            action = rng.choice([rng.uniform(-1, 1, 4), rng.choice([-1, 1], 4)]).astype(np.float32)
+        *_, ended, cut, info = env.step(action)
+        largest = max(largest, info["contact_force"])
         if ended or cut:
+            ends[info.get("end") or "cut"] += 1
             env.reset()
+    print(f"seed {seed}: {largest:.2f} N, {dict(ends)}")
+    assert largest < 10  # the guard's limit
 
 
-def test_environments_run_in_processes_of_their_own():
+def test_environments_run_in_processes_of_their_own_found_by_the_room_s_name():
     vector = gymnasium.vector.AsyncVectorEnv([make, make], context="spawn")
     try:
         first, info = vector.reset(seed=[1, 2])
@@ -122,16 +131,6 @@ def test_an_action_commands_what_it_was_made_of():
 def test_a_wrong_argument_is_refused():
     with pytest.raises(ConfigurationError, match="observation: 'pixels'"):
         make(observation="pixels")
-
-
-def test_gymnasium_finds_it_by_the_room_s_name():
-    code = (
-        "import gymnasium\n"
-        "name = 'sonoservo.diagrams.environment:sonoservo/FollowNeedle-v0'\n"
-        "print(gymnasium.make(name).action_space.shape)"
-    )
-    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert "(4,)" in said.stdout, said.stderr
 
 
 def test_without_gymnasium_a_line_says_what_to_install():

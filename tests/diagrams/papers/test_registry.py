@@ -15,8 +15,8 @@ def test_every_paper_is_registered():
 
 
 @pytest.mark.parametrize("paper", PAPERS)
-def test_every_paper_hands_out_its_reproduction(paper):
-    assert callable(import_module(f"sonoservo.diagrams.papers.{paper}").reproduce)
+def test_every_paper_has_its_reproduction(paper):
+    assert callable(import_module(f"sonoservo.diagrams.papers.{paper}.reproduction").reproduce)
 
 
 def test_an_unknown_paper_is_refused(tmp_path):

@@ -153,3 +153,13 @@ def test_a_table_says_whether_the_code_of_its_runs_has_changed(data):
     for rows, more in (("all", {}), ("thresholds", {"thresholds": [{"dial": "speed"}]})):
         assert said not in results.results_table(data | more, rows)
         assert said in results.results_table(data | more | {"outdated": True}, rows)
+
+
+def test_where_the_published_method_is_better_stands_before_the_tables(study, data):
+    assert data["published_better"] == ""
+    (worse,) = study.rows[:1]
+    better = replace(worse, published_true=0.2, published_low=0.1, published_high=0.3)
+    other_side = replace(better, wanted="at least", quantity="share")
+    said = replace(study, rows=[better, other_side]).as_json("")["published_better"]
+    assert said == "The published method is better in fig5: at rest (mm)."
+    assert said in results.results_table(data | {"published_better": said}, "all")

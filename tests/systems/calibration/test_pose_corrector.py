@@ -7,7 +7,8 @@ from pydrake.math import RigidTransform, RollPitchYaw
 from scipy.spatial.transform import Rotation
 from still_tissue import LyingProbe
 
-from sonoservo.systems.calibration import HandEyeCorrector, PoseCorrector, PoseErrors
+from sonoservo.systems.calibration import HandEyeCorrector, PoseCorrector
+from sonoservo.systems.calibration.pose_errors import PoseErrors
 from sonoservo.systems.signals.immutable import NotFound
 
 LYING = LyingProbe(delay=0.06, X_PI=RigidTransform([1e-3, 0.0, 1e-3]))

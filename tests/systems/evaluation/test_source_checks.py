@@ -66,6 +66,7 @@ def test_steady_times_need_nothing_and_tell_the_rate():
         (np.r_[0.1 * np.arange(9), 0.8, 0.9], Check.CLOCK, "1 time stamps are missing, repeated"),
         (np.r_[0.1 * np.arange(9), np.nan, 0.9], Check.CLOCK, "1 time stamps"),
         (np.zeros(5), Check.RATE, "no time stamp of 5 volumes advances"),
+        (300.0 * np.arange(9), Check.RATE, "two volumes are 300 s apart"),
     ],
 )
 def test_times_that_need_something(times, check, text):

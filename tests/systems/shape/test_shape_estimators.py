@@ -61,7 +61,7 @@ def measured(path, depths, deviation, seed=0):
 
 
 @pytest.mark.parametrize("name", SOUND)
-@pytest.mark.parametrize("plane", [0.3, -2.0, 3.1])
+@pytest.mark.parametrize("plane", [0.3, -2.0])
 def test_little_noise_gives_the_path_beyond_the_rotation(name, plane):
     path = BicyclePath(radius=1.2, angle=-0.02, plane=plane, rotations=(0.06,))
     points = measured(path, np.arange(0, 0.0601, 0.5e-3), 5e-6)
@@ -78,21 +78,21 @@ def test_little_noise_gives_the_path_beyond_the_rotation(name, plane):
 def test_error_and_stated_uncertainty_agree(name):
     distances, errors, stated = [], [], []
     rng = np.random.default_rng(4)
-    for seed in range(25):
+    for seed in range(14):
         path = BicyclePath(
             radius=rng.normal(1.5, 0.3), angle=rng.normal(0, 0.04),
             plane=rng.uniform(-3, 3), rotations=(0.06,),
         )  # fmt: skip
-        points = measured(path, np.arange(0, 0.0601, 1e-3), 0.1e-3, seed)
+        points = measured(path, np.arange(0, 0.0601, 3e-3), 0.1e-3, seed)
         shape = estimate(name, points, seed, depth=0.14, rotations=[0.06])[-1]
         mean, covariance = shape.predict([0.14])
         error = mean[0] - path.position(0.14)[:2]
         distances.append(error @ np.linalg.solve(covariance[0], error))
         errors.append(error @ error)
         stated.append(np.trace(covariance[0]))
-    # Mean squared error over stated variance: 25 needles, two directions of unequal variance.
+    # Mean squared error over stated variance: 14 needles, two directions of unequal variance.
     assert 0.5 < np.mean(errors) / np.mean(stated) < 2.0
-    assert np.mean(np.array(distances) < chi2.ppf(0.95, 2)) >= 0.84
+    assert np.mean(np.array(distances) < chi2.ppf(0.95, 2)) > 0.85
 
 
 def test_particle_filter_has_the_posterior_that_quadrature_gives():
@@ -256,7 +256,7 @@ def test_tissue_that_breathes_is_no_needle_that_bends(breath):
     """The shift's wave is as long as that of a breath of 4 s while a needle goes 10 mm/s."""
     depths, path = np.arange(0, 0.06, 1.5e-3), BicyclePath(radius=1.2, rotations=(0.06,))
     errors = {1: [], 3: []}
-    for phase in (0, 2, 4):
+    for phase in (0, 2, 4) if breath else (0,):
         points = measured(path, depths, 0.1e-3)
         points[:, 0] += breath * np.sin(2 * np.pi * depths / 0.04 + phase)
         for levels in ([0.0], [0.0, 0.2e-3, 0.5e-3]):

@@ -94,7 +94,7 @@ def test_simulated_needles_wander_as_the_modes_do():
 def test_the_posterior_is_the_exact_one_of_the_linear_model():
     # Amplitudes and noise known, and paths so flat that the model is linear.
     wander = WanderParameters(amplitude=0.2, spread=1e-3, across=1e-4, across_spread=1e-3)
-    points, _ = needle(5, 0.2, TURN)
+    points, _ = needle(5, 0.2, TURN, 2e-3)
     shape_filter = make_filter(wander, particles=2000)
     found = [tip(shape_filter, believe(shape_filter, points, seed)) for seed in range(2)]
     radius = np.linspace(0.3, 3.5, 161)
@@ -132,7 +132,7 @@ def test_whole_needles_teach_the_amplitude_for_the_next(wander):
     prior = WanderParameters(amplitude=0.1, spread=1.0, across=0.05, across_spread=1.0)
     shape_filter = make_filter(prior)
     alone = [
-        shape_filter.learned_wander(believe(shape_filter, needle(seed, wander, DEPTH, 2e-3)[0]))
+        shape_filter.learned_wander(believe(shape_filter, needle(seed, wander, DEPTH, 3e-3)[0]))
         for seed in range(5)
     ]
     learnt = combined_wander(prior, alone)
@@ -147,18 +147,18 @@ def test_whole_needles_teach_the_amplitude_for_the_next(wander):
     assert (nothing.amplitude, nothing.spread) == pytest.approx((prior.amplitude, prior.spread))
 
 
-@pytest.mark.parametrize("wander", [0.0, 0.1, 0.3])
+@pytest.mark.parametrize("wander", [0.0, 0.3])
 def test_the_stated_region_holds_the_tip_when_the_amplitude_is_known(wander):
     known = WanderParameters(amplitude=max(wander, 0.01), spread=0.2, across=0.01)
     shape_filter = make_filter(known)
     squared, within = [], 0
-    for seed in range(12):
-        points, truth = needle(100 + seed, wander, TURN, 2e-3)
+    for seed in range(8):
+        points, truth = needle(100 + seed, wander, TURN, 4e-3)
         mean, covariance = tip(shape_filter, believe(shape_filter, points, seed))
         distance = (truth - mean) @ np.linalg.solve(covariance, truth - mean)
         squared.append(distance)
         within += distance < 5.99
-    assert within >= 10
+    assert within >= 7
     assert 0.7 < np.mean(squared) < 4.5
 
 

@@ -33,11 +33,15 @@ class PublishedDetectionParameters(Bounded):
     max_depth
         Largest distance delta from the geometric median to the candidate entry point, in m. The
         field of view is 20 to 40 mm thick, so a larger one takes any tip for an entry.
+    same_direction
+        Whether consecutive sweeps of one direction are compared, or any. To and fro, they differ by
+        more than a needle of 2.5 mm/s changes between them.
     """
 
     candidate_volume: Positive = 5e-9
     max_std: Positive = 27e-3
     max_depth: Positive = 7e-3
+    same_direction: bool = True
 
 
 def detect_as_published(

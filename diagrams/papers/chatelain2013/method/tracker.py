@@ -33,10 +33,9 @@ def _published_filter() -> ControlPointFilter:
 class Chatelain2013AsPublishedParameters(TrackerParameters):
     """Parameters of the tracker of Chatelain 2013 as published; see `TrackerParameters`.
 
-    Consecutive sweeps of one direction are compared, one admissible entry point starts the track,
-    the filter works in the probe's frame, and nothing checks a measurement or finds a lost needle
-    again. The paper publishes no values. Where it is silent, the choice is named with the parameter
-    or the function.
+    One admissible entry point starts the track, the filter works in the probe's frame, and nothing
+    checks a measurement or finds a lost needle again. The paper publishes no values. Where it is
+    silent, the choice is named with the parameter or the function.
 
     Parameters
     ----------
@@ -98,8 +97,7 @@ def add_published_parts(
 ) -> TrackManager:
     """Add and connect the parts of a tracker as published, export its ports, return its manager.
 
-    Detection and the life of a track are those of Chatelain 2013: consecutive sweeps of one
-    direction are compared, and a lost needle is not looked for.
+    Detection and the life of a track are those of Chatelain 2013: a lost needle is not looked for.
     """
     events: dict[str, Any] = {"period": period, "offset": offset}
     lifecycle = PublishedLifecycle(order=parameters.order, needle_filter=needle_filter)
@@ -109,8 +107,9 @@ def add_published_parts(
         localizer=localizer,
         manager=TrackManager(lifecycle=lifecycle, **events),
     )
+    same = detection.same_direction
     memory = builder.AddNamedSystem(
-        "volume_memory", VolumeMemory(same_direction=True, kinds=(Volume,), **events)
+        "volume_memory", VolumeMemory(same_direction=same, kinds=(Volume,), **events)
     )
     detector = builder.AddNamedSystem("insertion_detector", InsertionDetector(parameters=detection))
     gate = builder.GetSubsystemByName(VOLUME_GATE)

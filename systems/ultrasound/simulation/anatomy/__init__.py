@@ -1,5 +1,1 @@
 """Segmented anatomy as a phantom: label maps, their tables, and a synthetic liver."""
-
-from lazy_loader import attach_stub
-
-__getattr__, __dir__, __all__ = attach_stub(__name__, __file__)

@@ -1,5 +1,1 @@
 """Structures in the tissue: bone, vessels, fascia, calcifications, gas, wires, needles at rest."""
-
-from lazy_loader import attach_stub
-
-__getattr__, __dir__, __all__ = attach_stub(__name__, __file__)

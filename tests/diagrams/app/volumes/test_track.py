@@ -17,6 +17,7 @@ from synthetic_volumes import Scene, entry_on_side
 
 from sonoservo.diagrams import MakeNeedleTracker, load_scenario, run, track, track_recording
 from sonoservo.diagrams.app.volumes.track import tracker_parameters
+from sonoservo.diagrams.benchmark.estimates import OPTIONAL, REQUIRED
 from sonoservo.diagrams.trackers.registry import TRACKERS
 from sonoservo.diagrams.trackers.tracker_parts import TrackerParameters
 from sonoservo.systems.files.refusals import ConfigurationError
@@ -78,6 +79,8 @@ def test_a_recording_gives_the_estimates_of_the_live_run_exactly(live, tmp_path)
         == len(json.loads((tmp_path / "estimates.json").read_text()))
     )
     assert rows[0]["tip_l_mm"] == ""
+    assert float(rows[-1]["probability"]) == seen.estimates[-1].probability
+    assert set(REQUIRED) | set(OPTIONAL) - {"process_ms"} <= rows[0].keys()
     last = np.array([float(rows[-1][f"tip_{axis}_mm"]) for axis in "lps"])
     volume = Recording(path)[len(rows) - 1]
     # LPS are the axes of the probe in a file of ours.

@@ -23,7 +23,10 @@ SHORT = ["depth=0.03", "rotations=[0.02]", "observe_until=0.02", "step=1.5e-3"]
 SHORT += ["imaging.sector=0.4", "particle_filter.particles=150", "published.particles=150"]
 # A needle that shows at every angle.
 ROUGH = ["scanner.needle.diffuse_db=-20", "scanner.needle.diffuse_lobe_deg=null"]
-FEW = {"gamma": {"0.1": ["published.gain=0.1"]}, "h": {"4 mm": ["tracker.template=[6e-3, 4e-3]"]}}
+FEW = {
+    "gamma": {"0.1": ["published.gain=0.1"]},
+    "template": {"4 mm": ["tracker.template=[4e-3, 4e-3]"]},
+}
 
 
 @pytest.fixture(scope="module")
@@ -109,7 +112,7 @@ def test_parameters_of_the_published_method_are_swept(study):
     assert set(rows) == {
         f"{each} error, {value}, mean"
         for each in ("tip", "shape")
-        for value in ("gamma = 0.1", "h = 4 mm")
+        for value in ("gamma = 0.1", "template = 4 mm")
     }
     assert all(row.published_true > 0 and row.true is None for row in rows.values())
     assert sweep_rows([]) == []
@@ -121,8 +124,8 @@ def test_the_report_stands_by_itself(study, tmp_path):
     assert len(data["rows"]) == len(study.rows)
     names = {path.stem for path in tmp_path.glob("*.png")}
     assert names == {
-        "paths", "error_against_depth", "errors", "departures", "sweeps", "particles",
-        "slice_d60", "slice_patient",
+        "paths", "error_against_depth", "errors", "departures", "particles",
+        "slice_d60", "slice_patient", "sweeps_d60", "sweeps_patient",
     }  # fmt: skip
     assert "http" not in (tmp_path / "report.html").read_text().replace("http-equiv", "")
 
@@ -133,7 +136,7 @@ def test_the_study_has_the_needles_it_promises():
     assert taught == set(LESSONS)
     assert min(LESSON_SEEDS) >= 100
     assert {protocol.learnt for protocol in PROTOCOLS.values()} <= {"", *LESSONS}
-    assert set(SWEEPS) == {"gamma", "n", "h", "w"}
+    assert set(SWEEPS) == {"gamma", "n", "template"}
     gains = [float(each) for each in SWEEPS["gamma"]]
     assert (min(gains), max(gains)) == (0.02, 0.5)
 

@@ -39,8 +39,8 @@ def test_as_many_runs_as_promised(tmp_path):
     cases = study_cases(StudyOptions(folder=tmp_path))
     seeds = {name: {c.seed for c in cases if c.experiment == name} for name in PROTOCOLS}
     assert {name: len(seeds[name]) for name in ("fig4", "fig5", "fig6", "bent")} == {
-        "fig4": 10,
-        "fig5": 20,
+        "fig4": 30,
+        "fig5": 30,
         "fig6": 50,
         "bent": 20,
     }

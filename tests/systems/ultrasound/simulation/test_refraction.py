@@ -8,7 +8,7 @@ from renderers import about, make_renderer
 from scipy.optimize import minimize_scalar
 
 from sonoservo.systems.ultrasound.simulation.kernels.medium import Medium, true_position
-from sonoservo.systems.ultrasound.simulation.structures import FatLayer
+from sonoservo.systems.ultrasound.simulation.structures.kinds import FatLayer
 from sonoservo.systems.ultrasound.simulation.tissue import Tissue
 
 ON_TOP = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1.0]])

@@ -9,7 +9,7 @@ from renderers import CLEAN, DOWN, NOWHERE, make_renderer, needle_through, still
 
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
 from sonoservo.systems.ultrasound.simulation.frame_renderer import FrameRenderer, Frames
-from sonoservo.systems.ultrasound.simulation.needles import NeedleEchoParameters
+from sonoservo.systems.ultrasound.simulation.needles.needle_echo import NeedleEchoParameters
 from sonoservo.systems.ultrasound.simulation.rendering import SweepRenderer
 from sonoservo.systems.ultrasound.simulation.tissue import Tissue
 from sonoservo.systems.ultrasound.transducer import Transducer

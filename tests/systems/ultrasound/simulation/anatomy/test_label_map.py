@@ -10,18 +10,17 @@ import yaml
 from renderers import CLEAN
 
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
-from sonoservo.systems.ultrasound.simulation.anatomy import (
-    LabelMap,
-    LabelProperties,
-    LiverAnatomy,
-    liver_label_map,
-    read_label_map,
-    write_label_map,
-)
+from sonoservo.systems.ultrasound.simulation.anatomy.anatomies import LiverAnatomy, liver_label_map
 from sonoservo.systems.ultrasound.simulation.anatomy.anatomy_grid import (
     AnatomyParameters,
+    LabelProperties,
     anatomy_grid,
     level_surface,
+)
+from sonoservo.systems.ultrasound.simulation.anatomy.label_map import (
+    LabelMap,
+    read_label_map,
+    write_label_map,
 )
 from sonoservo.systems.ultrasound.simulation.rendering import SweepRenderer
 from sonoservo.systems.ultrasound.simulation.tissue import load_tissue

@@ -11,8 +11,7 @@ from sonoservo.systems.files.typed_yaml import load_typed
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
 from sonoservo.systems.ultrasound.simulation.rendering import SweepRenderer
-from sonoservo.systems.ultrasound.simulation.structures import (
-    BesideNeedle,
+from sonoservo.systems.ultrasound.simulation.structures.kinds import (
     Bone,
     Calcification,
     Fascia,
@@ -21,6 +20,7 @@ from sonoservo.systems.ultrasound.simulation.structures import (
     RestingNeedle,
     Vessel,
 )
+from sonoservo.systems.ultrasound.simulation.structures.structure import BesideNeedle
 from sonoservo.systems.ultrasound.simulation.tissue import Tissue, load_tissue
 from sonoservo.systems.ultrasound.transducer import Transducer
 

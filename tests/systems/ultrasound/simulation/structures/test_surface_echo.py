@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from renderers import DEEP, DOWN, make_renderer, still
 
-from sonoservo.systems.ultrasound.simulation.structures import (
+from sonoservo.systems.ultrasound.simulation.structures.kinds import (
     Bone,
     Calcification,
     Fascia,

@@ -1,7 +1,7 @@
 """Study of the tip's error along the needle in one volume, beside the least possible error.
 
-Run ``python -m tip_study --volumes 50 --first-seed 100`` for its table. Tune with seeds from 100 on
-only; seeds 0 to 99 are for reports.
+``PYTHONPATH=tests/helpers:tests/tools python -m tip_study --volumes 50 --first-seed 100`` prints
+its table. Tune with seeds from 100 on only; seeds 0 to 99 are for reports.
 """
 
 from .needles import CONTRASTS, DEPTHS, DIPS, TIPS, End, end_of, sweep_with

@@ -1,1 +1,0 @@
-from .reproduction import reproduce as reproduce

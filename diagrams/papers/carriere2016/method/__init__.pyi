@@ -1,2 +1,0 @@
-from .shape_filter import PublishedParticleFilter as PublishedParticleFilter
-from .shape_filter import PublishedParticleFilterParameters as PublishedParticleFilterParameters

@@ -1,5 +1,0 @@
-from .detection import PublishedDetectionParameters as PublishedDetectionParameters
-from .insertion_detector import InsertionDetector as InsertionDetector
-from .localization import PublishedLocalizationParameters as PublishedLocalizationParameters
-from .tracker import Chatelain2013AsPublishedParameters as Chatelain2013AsPublishedParameters
-from .tracker import MakeChatelain2013AsPublishedTracker as MakeChatelain2013AsPublishedTracker

@@ -1,6 +1,0 @@
-from .tracker import MakeZhao2012AsPublishedTracker as MakeZhao2012AsPublishedTracker
-from .tracker import Zhao2012AsPublishedParameters as Zhao2012AsPublishedParameters
-from .whole_volume_ransac import (
-    WholeVolumeLocalizationParameters as WholeVolumeLocalizationParameters,
-)
-from .whole_volume_ransac import WholeVolumeRansacParameters as WholeVolumeRansacParameters

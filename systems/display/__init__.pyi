@@ -1,0 +1,10 @@
+from .console.console import Console as Console
+from .console.console_feed import ConsoleFeed as ConsoleFeed
+from .console.controls import Control as Control
+from .console.controls import OperatorPanel as OperatorPanel
+from .console.slices import slice_views as slice_views
+from .pages.meshcat_page import open_meshcat as open_meshcat
+from .pages.site import Site as Site
+from .shape_view import ShapeView as ShapeView
+from .world.world_view import WorldView as WorldView
+from .world.world_view import WorldViewParameters as WorldViewParameters

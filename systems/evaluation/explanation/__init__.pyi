@@ -1,3 +1,0 @@
-from .explained_volume import ExplanationRecorder as ExplanationRecorder
-from .explained_volume import read_explanations as read_explanations
-from .explanation_sheet import plot_explanation as plot_explanation

@@ -1,9 +1,0 @@
-from .deformation import Deformation as Deformation
-from .deformation import Indentation as Indentation
-from .deformation import indentation as indentation
-from .tissue_reaction import Drag as Drag
-from .tissue_reaction import NeedleDragParameters as NeedleDragParameters
-from .tissue_reaction import TissueReaction as TissueReaction
-from .tissue_reaction import TissueReactionParameters as TissueReactionParameters
-from .tissue_reaction import advance_drag as advance_drag
-from .tissue_reaction import tissue_deformation as tissue_deformation

@@ -1,7 +1,0 @@
-"""Fit of what a needle looks like in one volume: its volumes, its weights, and how good they are.
-
-Run ``python -m looks_study`` (with ``tests/helpers`` on the path) to make the volumes, fit the
-weights on the training ones, and print them with their score on the others. Seeds from 1000 on are
-for this; those below 1000 are for tests and reports. The images of `independent_images` are for
-judging only and are not used.
-"""
