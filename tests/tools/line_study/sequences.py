@@ -9,7 +9,7 @@ import numpy as np
 from sonoservo.diagrams.benchmark.sequence import load_suites
 from sonoservo.diagrams.experiments.following_scene import make_scene, observer_events
 from sonoservo.diagrams.studies.robustness.planned_motion import MotionPlan, simulate_planned
-from sonoservo.diagrams.studies.robustness.turned_dials import scenario_of
+from sonoservo.diagrams.studies.robustness.runs import scenario_of
 from sonoservo.systems.evaluation.run_errors import at_times, in_frame
 from sonoservo.systems.evaluation.run_logger import RunLogger
 from sonoservo.systems.evaluation.success import conspicuous_length
