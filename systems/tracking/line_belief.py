@@ -14,10 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
 
-from sonoservo.systems.signals.acquisition import acquired_from
 from sonoservo.systems.signals.immutable import Immutable
 from sonoservo.systems.signals.line_hypotheses import LINE_CLASSES, LineHypotheses
-from sonoservo.systems.signals.volume import Volume
+from sonoservo.systems.signals.volume import Volume, acquired_from
 from sonoservo.systems.tracking.arrival import add_volume, advances, class_logs
 from sonoservo.systems.tracking.cells import Cells, cells_of, tissue_shift
 from sonoservo.systems.tracking.line_contrast import (

@@ -7,8 +7,8 @@ from unittest import mock
 
 import numpy as np
 
-from sonoservo.systems.signals.acquisition import acquired_from
 from sonoservo.systems.signals.line_hypotheses import LINE_CLASSES
+from sonoservo.systems.signals.volume import acquired_from
 from sonoservo.systems.tracking import line_belief
 from sonoservo.systems.tracking.line_belief import LineBelief, follow
 from sonoservo.systems.tracking.line_fit import FittedLine, fitted_lines
