@@ -25,7 +25,7 @@ from sonoservo.systems.recording.plus_configuration import (
 )
 from sonoservo.systems.recording.recording import Recording
 from sonoservo.systems.recording.tracked_frames import TrackedFrames
-from sonoservo.systems.signals.reconstructed_volume import ReconstructedVolume
+from sonoservo.systems.signals.volume import ReconstructedVolume
 from sonoservo.systems.ultrasound.frame_reconstruction import (
     PosedFrame,
     SweepSplitter,

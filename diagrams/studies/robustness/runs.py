@@ -28,9 +28,8 @@ from sonoservo.systems.evaluation.success import conspicuous_length, judged_erro
 from sonoservo.systems.files.model_file import model_file
 from sonoservo.systems.files.typed_yaml import apply_changes, read_yaml
 from sonoservo.systems.recording.volume_collector import VolumeCollector
-from sonoservo.systems.signals.acquisition import acquired_from
 from sonoservo.systems.signals.needle_estimate import TrackingMode
-from sonoservo.systems.signals.volume import Volume
+from sonoservo.systems.signals.volume import Volume, acquired_from
 
 GRADED = load_dials()
 

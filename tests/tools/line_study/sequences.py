@@ -14,7 +14,7 @@ from sonoservo.systems.evaluation.run_errors import at_times, in_frame
 from sonoservo.systems.evaluation.run_logger import RunLogger
 from sonoservo.systems.evaluation.success import conspicuous_length
 from sonoservo.systems.recording.volume_collector import VolumeCollector
-from sonoservo.systems.signals.acquisition import acquired_from
+from sonoservo.systems.signals.volume import acquired_from
 
 SETTLED = 4.0
 """Time in s for which a sequence goes on after the first push."""
