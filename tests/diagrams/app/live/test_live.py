@@ -313,12 +313,15 @@ def test_interruption_ends_at_once_and_leaves_what_is_valid(recording, tmp_path)
     with Link(parse_address("igtl://:0"), report=quiet) as server:
         command = ["track", f"igtl://localhost:{server.port}", "--out", str(tmp_path)]
         with subprocess.Popen([*COMMAND, *command], stdout=subprocess.PIPE, text=True) as tracking:
-            wait_until(lambda: server.peers, 60)
-            play_live(recording, server, speed=0)
-            table = tmp_path / "estimates.csv"
-            wait_until(lambda: table.is_file() and len(rows_of(tmp_path)) >= 2, 60)
-            tracking.send_signal(signal.SIGINT)
-            printed, _ = tracking.communicate(timeout=60)
+            try:
+                wait_until(lambda: server.peers, 60)
+                play_live(recording, server, speed=0)
+                table = tmp_path / "estimates.csv"
+                wait_until(lambda: table.is_file() and len(rows_of(tmp_path)) >= 2, 120)
+                tracking.send_signal(signal.SIGINT)
+                printed, _ = tracking.communicate(timeout=60)
+            finally:
+                tracking.kill()  # or a failure would wait for it, and it for more volumes
     assert tracking.returncode == 0
     assert "from the last byte to the estimate sent" in " ".join(printed.split())
     assert all(None not in row.values() for row in rows_of(tmp_path))
