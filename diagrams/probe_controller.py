@@ -14,8 +14,7 @@ from sonoservo.systems.control.differential_kinematics import (
     DifferentialKinematics,
     DifferentialKinematicsParameters,
 )
-from sonoservo.systems.control.force_controller import ForceController
-from sonoservo.systems.control.force_law import ForceControllerParameters
+from sonoservo.systems.control.force_controller import ForceController, ForceControllerParameters
 from sonoservo.systems.control.guard import Guard
 from sonoservo.systems.control.guard_parameters import GuardParameters
 from sonoservo.systems.control.visual_servo import VisualServo, VisualServoParameters

@@ -13,7 +13,7 @@ from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
 from sonoservo.diagrams.experiments.following_scene import make_scene, observer_events
 from sonoservo.diagrams.scenario import draw_seeds
 from sonoservo.diagrams.studies.robustness.planned_motion import MotionPlan, simulate_planned
-from sonoservo.diagrams.studies.robustness.turned_dials import PLAIN, scenario_of
+from sonoservo.diagrams.studies.robustness.runs import PLAIN, scenario_of
 from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.evaluation.run_logger import RunLogger
 from sonoservo.systems.files.refusals import ConfigurationError

@@ -132,6 +132,8 @@ def perform(work: Work, case: Case, store: Store | None = None) -> Finished:
         else:
             result = to_plain(made)
     except Exception as exception:
+        if isinstance(exception.__cause__, KeyboardInterrupt):  # in compiled code
+            raise exception.__cause__ from None
         error = f"{type(exception).__name__}: {exception}"
     described = {
         name: {"bytes": len(data), "sha256": hashlib.sha256(data).hexdigest()}

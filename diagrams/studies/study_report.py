@@ -134,11 +134,12 @@ class StudyRow:
     @property
     def behind(self) -> bool:
         """Whether the published method is better in what has a target: the intervals are apart."""
-        ours, theirs = (self.low, self.high), (self.published_low, self.published_high)
-        if self.target is None or None in (*ours, *theirs):
+        ends = self.low, self.high, self.published_low, self.published_high
+        known = [each for each in ends if each is not None]
+        if self.target is None or len(known) < len(ends):
             return False
-        less, more = (theirs, ours) if self.wanted == "at most" else (ours, theirs)
-        return bool(less[1] < more[0])
+        low, high, their_low, their_high = known
+        return their_high < low if self.wanted == "at most" else high < their_low
 
 
 def said_first(rows: Sequence[StudyRow]) -> str:

@@ -22,10 +22,9 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from sonoservo.systems.shape.normalized_cross_correlation import Match, best_match
-from sonoservo.systems.signals.acquisition import acquired_from
 from sonoservo.systems.signals.immutable import Immutable, NotFound, Shape, Vector3
 from sonoservo.systems.signals.sweep import SweepMotion
-from sonoservo.systems.signals.volume import Volume
+from sonoservo.systems.signals.volume import Volume, acquired_from
 
 Floats = NDArray[np.float64]
 

@@ -5,7 +5,7 @@ from .differential_kinematics import (
     DifferentialKinematicsParameters as DifferentialKinematicsParameters,
 )
 from .force_controller import ForceController as ForceController
-from .force_law import ForceControllerParameters as ForceControllerParameters
+from .force_controller import ForceControllerParameters as ForceControllerParameters
 from .guard import Guard as Guard
 from .guard_parameters import GuardParameters as GuardParameters
 from .visual_features import needle_features as needle_features

@@ -14,8 +14,7 @@ from sonoservo.systems.calibration.pose_errors import PoseErrors
 from sonoservo.systems.files.volume_file import MAX_STEP
 from sonoservo.systems.sampling.interpolation import sample_grid
 from sonoservo.systems.signals.immutable import NotFound
-from sonoservo.systems.signals.reconstructed_volume import ReconstructedVolume
-from sonoservo.systems.signals.volume import Volume
+from sonoservo.systems.signals.volume import ReconstructedVolume, Volume
 from sonoservo.systems.tracking.speckle_width import speckle_spread
 from sonoservo.systems.ultrasound.frame_reconstruction import PosedFrame, reconstruct
 

@@ -1,4 +1,3 @@
-from .acquisition import Acquired as Acquired
 from .body_surface import BodySurface as BodySurface
 from .cross_section import CrossSection as CrossSection
 from .cross_section import CrossSectionTrack as CrossSectionTrack
@@ -33,7 +32,6 @@ from .ports import declare_inputs as declare_inputs
 from .ports import declare_output as declare_output
 from .ports import evaluate as evaluate
 from .radio_frequency_sweep import RadioFrequencySweep as RadioFrequencySweep
-from .reconstructed_volume import ReconstructedVolume as ReconstructedVolume
 from .requirements import Bounded as Bounded
 from .requirements import require_positive as require_positive
 from .search_reason import Reason as Reason
@@ -44,5 +42,7 @@ from .sweep import Sweep as Sweep
 from .sweep import SweepGeometry as SweepGeometry
 from .sweep import SweepMotion as SweepMotion
 from .velocity_measurement import VelocityMeasurement as VelocityMeasurement
+from .volume import Acquired as Acquired
+from .volume import ReconstructedVolume as ReconstructedVolume
 from .volume import Volume as Volume
 from .volume import VolumeCheck as VolumeCheck

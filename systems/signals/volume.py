@@ -1,8 +1,8 @@
-"""Volume on a Cartesian grid, and the check of those before a tracker."""
+"""Volume on a Cartesian grid, swept or reconstructed; and the check of those before a tracker."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import Annotated, Any
+from typing import Annotated, Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,7 +10,7 @@ from pydrake.math import RigidTransform
 
 from sonoservo.systems.sampling.interpolation import sample_flags, sample_grid
 from sonoservo.systems.sampling.seen_hull import cut_level, darkest, seen_hull
-from sonoservo.systems.signals.immutable import Immutable, Shape, Vector3, read_only, seal
+from sonoservo.systems.signals.immutable import Immutable, Shape, Vector3, own, read_only, seal
 from sonoservo.systems.signals.point_spread import PointSpread
 from sonoservo.systems.signals.requirements import Finite, Positive, require
 from sonoservo.systems.signals.sweep import DECIBELS_PER_LEVEL, SweepGeometry, SweepMotion
@@ -158,3 +158,80 @@ def _in_sector(
         plane = np.concatenate([np.full((*rows.shape[:2], 1), each), rows], axis=-1)
         inside[number] = geometry.contains(plane)
     return seal(inside)
+
+
+class Acquired(Protocol):
+    """A picture that knows when and from where it was acquired, such as a `Volume`."""
+
+    @property
+    def X_WP(self) -> RigidTransform:
+        """Pose of the probe at the picture's time."""
+
+    @property
+    def motion(self) -> SweepMotion | None:
+        """Time and pose of each frame; None if unknown."""
+
+
+def acquired_from(volume: Acquired, p_W: ArrayLike) -> NDArray[np.float64]:
+    """Return (m, 3) positions in P, in m, at which a volume shows positions in W.
+
+    It inverts `SweepMotion.to_world` by two steps of a fixed-point iteration: the probe moves
+    little while a volume is acquired.
+    """
+    p_W = np.asarray(p_W, dtype=float)
+    p_P: NDArray[np.float64] = volume.X_WP.inverse().multiply(p_W.T).T.reshape(-1, 3)
+    if volume.motion is not None:
+        R_PW = volume.X_WP.rotation().matrix().T
+        for _ in range(2):
+            p_P = p_P + (p_W - volume.motion.to_world(p_P)[0]) @ R_PW.T
+    return p_P
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ReconstructedVolume(Volume):
+    """Volume with voxels at the positions seen by the frames, in a frame P that does not move."""
+
+    frames: NDArray[np.float32]
+    """(nx, ny, nz) number of the frame in which each voxel was seen, fractional between two frames.
+    It is NaN for voxels that no frame has passed, and in gaps that are too wide."""
+
+    frame_times: Annotated[NDArray[np.float64], Shape("f")]
+    """Times of the frames in s."""
+
+    frame_poses: Annotated[NDArray[np.float64], Shape("f", 4, 4)]
+    """Poses of the frames in W, in m: X along the rows of pixels, Y along the depth."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        shape = self.intensities.shape
+        require(self.frames.shape == shape, "frames", self.frames.shape, f"of shape {shape}")
+        object.__setattr__(self, "frames", own(self.frames))
+
+    @cached_property
+    def seen(self) -> NDArray[np.bool_]:
+        """(nx, ny, nz) flags of the voxels that frames have passed."""
+        return seal(~self.holes)
+
+    @property
+    def holes(self) -> NDArray[np.bool_]:
+        """(nx, ny, nz) flags of the voxels without a frame."""
+        return np.isnan(self.frames)
+
+    def frame_at(self, p_P: ArrayLike) -> NDArray[np.float64]:
+        """Return the (m,) fractional numbers of the frames that saw positions in P, or NaN."""
+        last = np.array(self.frames.shape) - 1
+        index = np.round(np.reshape(self.index(p_P), (-1, 3)))
+        inside = ((index >= 0) & (index <= last)).all(axis=1)
+        i, j, k = np.clip(index, 0, last).astype(int).T
+        return np.where(inside, self.frames[i, j, k], np.nan)
+
+    def to_world(self, p_P: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return positions in W, in m, and times, in s, at which positions in P were acquired."""
+        p_P = np.reshape(np.asarray(p_P, dtype=float), (-1, 3))
+        frame = self.frame_at(p_P)
+        known = np.nan_to_num(frame)
+        times = np.interp(known, np.arange(len(self.frame_times)), self.frame_times)
+        return (
+            self.X_WP.multiply(p_P.T).T.reshape(-1, 3),
+            np.where(np.isnan(frame), self.time, times),
+        )

@@ -5,12 +5,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.systems.signals.acquisition import acquired_from
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.radio_frequency_sweep import RadioFrequencySweep
 from sonoservo.systems.signals.requirements import Positive, check_bounds, require
 from sonoservo.systems.signals.velocity_measurement import VelocityMeasurement
-from sonoservo.systems.signals.volume import Volume
+from sonoservo.systems.signals.volume import Volume, acquired_from
 from sonoservo.systems.tracking.axis import axis_through
 from sonoservo.systems.tracking.tip import TipParameters, axis_profile, find_extent
 

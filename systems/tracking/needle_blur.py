@@ -5,8 +5,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.systems.signals.blur import blur_covariance, line_axes
 from sonoservo.systems.signals.point_spread import FWHM_PER_SIGMA
+from sonoservo.systems.signals.sweep import blur_covariance, line_axes
 from sonoservo.systems.signals.volume import Volume
 from sonoservo.systems.tracking.speckle_width import speckle_spread
 

@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.systems.signals.acquisition import acquired_from
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.localization_explanation import (
     LocalizationAttempt,
@@ -16,7 +15,7 @@ from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
 from sonoservo.systems.signals.needle_prediction import NeedlePrediction
 from sonoservo.systems.signals.search_reason import SearchReason
-from sonoservo.systems.signals.volume import Volume
+from sonoservo.systems.signals.volume import Volume, acquired_from
 from sonoservo.systems.tracking.localizer_parameters import NeedleLocalizerParameters
 from sonoservo.systems.tracking.needle_line import lie_along, needle_lines
 from sonoservo.systems.tracking.region_localization import localize_in_region

@@ -5,7 +5,6 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.systems.signals.acquisition import acquired_from
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.localization_explanation import (
     AxisProfile,
@@ -16,7 +15,7 @@ from sonoservo.systems.signals.localization_explanation import (
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
 from sonoservo.systems.signals.search_reason import SearchReason
-from sonoservo.systems.signals.volume import Volume
+from sonoservo.systems.signals.volume import Volume, acquired_from
 from sonoservo.systems.tracking.axis import axis_through
 from sonoservo.systems.tracking.axis_fit import AxisFit, fit_axis
 from sonoservo.systems.tracking.candidates import select_candidates

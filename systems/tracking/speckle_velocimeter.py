@@ -11,7 +11,6 @@ from pydrake.systems.framework import Context, LeafSystem
 from scipy.signal import hilbert
 
 from sonoservo.systems.shape.normalized_cross_correlation import best_match
-from sonoservo.systems.signals.acquisition import acquired_from
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle_prediction import NeedlePrediction
 from sonoservo.systems.signals.ports import declare_inputs, declare_output, evaluate
@@ -24,7 +23,7 @@ from sonoservo.systems.signals.requirements import (
     require,
 )
 from sonoservo.systems.signals.velocity_measurement import VelocityMeasurement
-from sonoservo.systems.signals.volume import Volume
+from sonoservo.systems.signals.volume import Volume, acquired_from
 
 
 @dataclass(kw_only=True)

@@ -11,7 +11,6 @@ from scipy.ndimage import uniform_filter1d
 from scipy.special import ndtr
 
 from sonoservo.systems.sampling.interpolation import flagged, trilinear
-from sonoservo.systems.signals.acquisition import acquired_from
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.localization_explanation import AxisProfile, NeedleExtent
 from sonoservo.systems.signals.point_spread import FWHM_PER_SIGMA
@@ -22,7 +21,7 @@ from sonoservo.systems.signals.requirements import (
     require_positive,
 )
 from sonoservo.systems.signals.search_reason import SearchReason
-from sonoservo.systems.signals.volume import Volume
+from sonoservo.systems.signals.volume import Volume, acquired_from
 from sonoservo.systems.tracking.axis import Axis
 from sonoservo.systems.tracking.line_contrast import best_stretches
 from sonoservo.systems.tracking.needle_blur import needle_blur, sound_directions

@@ -11,9 +11,9 @@ from pydrake.math import RigidTransform, RotationMatrix
 
 from sonoservo.systems.sampling.seen_hull import cut_level, darkest, seen_hull
 from sonoservo.systems.signals.immutable import Immutable, seal
-from sonoservo.systems.signals.reconstructed_volume import ReconstructedVolume
 from sonoservo.systems.signals.requirements import require, require_positive
 from sonoservo.systems.signals.sweep import DECIBELS_PER_LEVEL
+from sonoservo.systems.signals.volume import ReconstructedVolume
 
 _MAX_VOXELS = 1 << 26
 _SLACK = 1e-9

@@ -7,8 +7,7 @@ import yaml
 from sonoservo.diagrams import load_scenario, scan
 from sonoservo.diagrams.studies.robustness.analysis import Record
 from sonoservo.diagrams.studies.robustness.planned_motion import run_open_loop
-from sonoservo.diagrams.studies.robustness.runs import record
-from sonoservo.diagrams.studies.robustness.turned_dials import PLAIN
+from sonoservo.diagrams.studies.robustness.runs import PLAIN, record
 from sonoservo.systems.files.model_file import model_file
 from sonoservo.systems.files.typed_yaml import apply_changes, read_yaml
 from sonoservo.systems.tracking.localizer_parameters import NeedleLocalizerParameters

@@ -16,7 +16,7 @@ from sonoservo.diagrams.station import (
     check_reach,
     start_posture,
 )
-from sonoservo.systems.control.force_law import pressing_force
+from sonoservo.systems.control.force_controller import pressing_force
 from sonoservo.systems.robot.phantom import PhantomMotion
 from sonoservo.systems.robot.posture import solve_posture
 from sonoservo.systems.robot.wrist_force_sensor import WristSensorParameters

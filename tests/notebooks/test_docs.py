@@ -8,6 +8,7 @@ import pytest
 import typer
 import yaml
 from commands import sonoservo_here
+from docutils.utils.math.latex2mathml import tex2mathml
 
 from sonoservo.diagrams.app.cli import app
 from sonoservo.diagrams.experiments import registry
@@ -56,6 +57,15 @@ def test_links_lead_somewhere(path):
     for target in re.findall(r"\]\(([^)#]+)[^)]*\)", text) + re.findall(r"include} (\S+)", text):
         if "://" not in target and not target.startswith(("python/", "tutorials/")):
             assert (path.parent / target).exists(), target
+
+
+def test_formulas_are_of_the_kind_that_needs_no_script_to_be_drawn():
+    text = (DOCS / "science.md").read_text(encoding="utf-8")
+    formulas = re.findall(r"\$\$(.+?)\$\$", text, re.S)
+    formulas += re.findall(r"(?<!\$)\$([^$]+)\$(?!\$)", text)
+    assert len(formulas) > 20
+    for each in formulas:
+        assert tex2mathml(each.strip()).startswith("<math"), each
 
 
 @pytest.mark.parametrize("words", list(commands()))

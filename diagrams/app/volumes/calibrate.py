@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from sonoservo.diagrams.app.volumes.reconstruct import ReconstructedRecording
+from sonoservo.diagrams.app.volumes.opening import ReconstructedRecording
 from sonoservo.systems.calibration.pose_errors import PoseCalibration, PoseErrors
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.recording.recording import Recording

@@ -12,8 +12,12 @@ from matplotlib.figure import Figure
 from pydrake.math import RotationMatrix
 
 from sonoservo.diagrams.app.options import Reading
-from sonoservo.diagrams.app.volumes.opening import Opened, open_volumes, with_frames
-from sonoservo.diagrams.app.volumes.reconstruct import ReconstructedRecording
+from sonoservo.diagrams.app.volumes.opening import (
+    Opened,
+    ReconstructedRecording,
+    open_volumes,
+    with_frames,
+)
 from sonoservo.systems.calibration.pose_errors import PoseCalibration
 from sonoservo.systems.evaluation.reports.scan_sheet import orientation_sheet
 from sonoservo.systems.evaluation.source_checks import (

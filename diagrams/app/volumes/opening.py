@@ -2,23 +2,147 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeAlias
 
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.math import RigidTransform
+
 from sonoservo.diagrams.app.options import Reading, ReadingFrames
-from sonoservo.diagrams.app.volumes.reconstruct import ReconstructedRecording
 from sonoservo.systems.files.refusals import ConfigurationError
+from sonoservo.systems.files.volume_file import VolumeFile
 from sonoservo.systems.live.connection.address import Address
 from sonoservo.systems.live.frames_to_volumes import FramesToVolumes
 from sonoservo.systems.live.live_source import LiveSource
 from sonoservo.systems.live.motor_sweep import MotorSweepVolumes, load_motor_sweep
-from sonoservo.systems.live.volume_maker import ImagesToVolumes, VolumeMaker
+from sonoservo.systems.live.volume_maker import ImagesToVolumes, VolumeMaker, grey_scale
 from sonoservo.systems.recording.plus_configuration import (
     PlusConfiguration,
     read_calibration,
     read_plus_configuration,
 )
 from sonoservo.systems.recording.recording import Recording
+from sonoservo.systems.recording.tracked_frames import TrackedFrames
+from sonoservo.systems.signals.volume import ReconstructedVolume
+from sonoservo.systems.ultrasound.frame_reconstruction import (
+    PosedFrame,
+    SweepSplitter,
+    reconstruct,
+)
+
+
+class ReconstructedRecording:
+    """Volumes of a file of 2D frames, one for each sweep, with the interface of `Recording`.
+
+    L and W are both the reference frame of the file's poses. A volume has so many ``frames``, or
+    ends where the probe turns back; its spacing is in m. ``reading`` holds other arguments of
+    `TrackedFrames`, whose errors it raises.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        *,
+        poses: str | None = None,
+        window: tuple[float, float] | None = None,
+        dynamic_range_db: float | None = None,
+        frames: int | None = None,
+        spacing: float = 7e-4,
+        frame_rate: float | None = None,
+        **reading: Any,
+    ) -> None:
+        self.path = path
+        self._spacing = spacing
+        try:
+            self._scale = grey_scale(dynamic_range_db)
+        except ValueError as error:
+            raise ConfigurationError(f"{path}: {error}") from error
+        self._frames = TrackedFrames(
+            path, poses=poses, window=window, frame_rate=frame_rate, **reading
+        )
+        self._sweeps = self._split(frames)
+        self.times = np.array([self._frames.times[s[len(s) // 2]] for s in self._sweeps])
+        self.notes = list(self._frames.notes)
+        if len(self._sweeps) == 1:
+            self.notes.append(
+                "its frames make a single sweep, and so one volume: `sonoservo locate` finds a "
+                "needle in it, but tracking needs several sweeps"
+            )
+        self.posed = False
+        self.settings: dict[str, Any] = {}
+        self._read = lru_cache(maxsize=1)(self._reconstruct)
+
+    @property
+    def frame_times(self) -> NDArray[np.float64]:
+        """(n,) times of the frames, in s."""
+        return self._frames.times
+
+    @property
+    def file(self) -> VolumeFile:
+        """The file as its header describes it."""
+        return self._frames.file
+
+    def __len__(self) -> int:
+        return len(self._sweeps)
+
+    def __iter__(self) -> Iterator[ReconstructedVolume]:
+        return (self[k] for k in range(len(self)))
+
+    def __getitem__(self, number: int) -> ReconstructedVolume:
+        """Reconstruct a volume."""
+        return self._read(range(len(self))[number])
+
+    def X_WL(self, number: int) -> RigidTransform:
+        """Return the pose of L in W, which is the identity."""
+        return RigidTransform()
+
+    @property
+    def skipped(self) -> int:
+        """Number of frames left out, with those so far that hold nothing."""
+        return self._frames.skipped + len(self._frames.void)
+
+    def _split(self, count: int | None) -> list[list[int]]:
+        """Return the numbers of each sweep's frames."""
+        try:
+            splitter = SweepSplitter(frames=count, max_frames=len(self._frames))
+        except ValueError as error:
+            raise ConfigurationError(f"{self.path}: {error}") from error
+        # The splitter needs only the number of pixels, not their values.
+        pixels = self._frames[0]
+        numbers = {time: k for k, time in enumerate(self._frames.times)}
+        sweeps = []
+        for X_WI, time in zip(self._frames.X_WI, self._frames.times, strict=True):
+            sweeps.append(splitter.add(PosedFrame(pixels, X_WI, time)))
+        sweeps.append(splitter.rest())
+        found = [[numbers[frame.time] for frame in sweep] for sweep in sweeps if sweep]
+        if not found:
+            raise ConfigurationError(
+                f"{self.path}: the probe hardly moves, so no volume can be reconstructed"
+            )
+        return found
+
+    def sweep(self, number: int) -> list[PosedFrame]:
+        """Return the frames of a sweep, without those that hold nothing."""
+        every = [
+            PosedFrame(self._frames[k], self._frames.X_WI[k], float(self._frames.times[k]))
+            for k in self._sweeps[number]
+        ]
+        return [
+            frame
+            for frame, k in zip(every, self._sweeps[number], strict=True)
+            if int(self._frames.numbers[k]) not in self._frames.void
+        ]
+
+    def _reconstruct(self, number: int) -> ReconstructedVolume:
+        try:
+            return reconstruct(
+                self.sweep(number), spacing=self._spacing, decibels_per_level=self._scale
+            )
+        except ValueError as error:
+            raise ConfigurationError(f"{self.path}: {error}") from error
+
 
 Opened: TypeAlias = Recording | ReconstructedRecording
 

@@ -7,8 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Picture
 
 from sonoservo.diagrams.studies.robustness.analysis import Group, Record
-from sonoservo.diagrams.studies.robustness.runs import TRACKERS
-from sonoservo.diagrams.studies.robustness.turned_dials import CLINIC, GRADED
+from sonoservo.diagrams.studies.robustness.runs import CLINIC, GRADED, TRACKERS
 from sonoservo.diagrams.studies.run_group import Value
 from sonoservo.diagrams.studies.study_report import StudyFigure
 from sonoservo.systems.evaluation.reports.plots import BLUE, GREEN, ORANGE

@@ -8,8 +8,7 @@ from typing import Any
 
 from sonoservo.diagrams.studies.robustness.analysis import Group, Threshold, chased, threshold
 from sonoservo.diagrams.studies.robustness.plots import study_figures
-from sonoservo.diagrams.studies.robustness.runs import OURS, PUBLISHED, TRACKERS
-from sonoservo.diagrams.studies.robustness.turned_dials import GRADED
+from sonoservo.diagrams.studies.robustness.runs import GRADED, OURS, PUBLISHED, TRACKERS
 from sonoservo.diagrams.studies.run_group import Value
 from sonoservo.diagrams.studies.study import Outcome
 from sonoservo.diagrams.studies.study_report import Study, StudyRow

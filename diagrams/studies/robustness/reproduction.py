@@ -12,8 +12,15 @@ import numpy as np
 from rich.console import Console
 
 from sonoservo.diagrams.studies.robustness.report import report
-from sonoservo.diagrams.studies.robustness.runs import OURS, TRACKERS, run_case
-from sonoservo.diagrams.studies.robustness.turned_dials import CLINIC, GRADED, PLAIN, turned
+from sonoservo.diagrams.studies.robustness.runs import (
+    CLINIC,
+    GRADED,
+    OURS,
+    PLAIN,
+    TRACKERS,
+    run_case,
+    turned,
+)
 from sonoservo.diagrams.studies.runs import run_study
 from sonoservo.diagrams.studies.study import Case, StudyOptions
 from sonoservo.diagrams.studies.study_report import Study

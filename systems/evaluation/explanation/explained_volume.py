@@ -19,7 +19,6 @@ from sonoservo.systems.evaluation.log import (
 )
 from sonoservo.systems.evaluation.run_errors import at_times
 from sonoservo.systems.evaluation.run_log import RunLog
-from sonoservo.systems.signals.acquisition import acquired_from
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.leaves import declare_looks, declare_memory
 from sonoservo.systems.signals.localization_explanation import (
@@ -34,7 +33,7 @@ from sonoservo.systems.signals.planes import sample_plane, slice_planes
 from sonoservo.systems.signals.ports import declare_inputs, evaluate, evaluate_optional
 from sonoservo.systems.signals.requirements import require, require_positive
 from sonoservo.systems.signals.sweep import SweepGeometry, SweepMotion
-from sonoservo.systems.signals.volume import Volume
+from sonoservo.systems.signals.volume import Volume, acquired_from
 
 _PIXEL = 0.5e-3  # distance between the pixels of the slices, in m
 

@@ -3,7 +3,7 @@ import io
 from rich.console import Console
 
 from sonoservo.diagrams.studies.processes import Processes
-from sonoservo.diagrams.studies.progress import StudyProgress
+from sonoservo.diagrams.studies.runs import StudyProgress
 from sonoservo.diagrams.studies.study import Case, Outcome
 
 

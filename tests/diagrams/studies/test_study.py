@@ -150,6 +150,16 @@ def test_a_case_that_raises_is_a_failure_and_not_the_end(tmp_path, calls):
     assert seeds_called(calls) == [0, 1, 2]
 
 
+def interrupted(case):
+    raise SystemError("a kernel returned a result with an exception set") from KeyboardInterrupt()
+
+
+def test_an_interruption_of_compiled_code_is_no_failure(tmp_path, calls):
+    with pytest.raises(KeyboardInterrupt):
+        run_cases(interrupted, make_cases(calls), tmp_path / "cases", jobs=1)
+    assert not list((tmp_path / "cases").glob("*.json"))
+
+
 def test_processes_compute_with_one_thread_and_one_that_dies_is_a_failure(tmp_path, calls):
     """In a process of its own: the cases are to be found by their module's name there."""
     script = tmp_path / "script.py"

@@ -18,8 +18,8 @@ from sonoservo.systems.calibration.pose_errors import (
     estimate_pose_errors,
     pose_equations,
 )
-from sonoservo.systems.signals.acquisition import acquired_from
 from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.volume import acquired_from
 
 
 def displaced(translation_mm, rotation_deg):

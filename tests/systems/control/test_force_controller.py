@@ -4,8 +4,8 @@ from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.math import SpatialForce
 from pydrake.systems.analysis import Simulator
 
-from sonoservo.systems.control.force_controller import ForceController
-from sonoservo.systems.control.force_law import (
+from sonoservo.systems.control.force_controller import (
+    ForceController,
     ForceControllerParameters,
     ForceState,
     approach_velocity,

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.math import SpatialForce
 
-from sonoservo.systems.control.force_law import (
+from sonoservo.systems.control.force_controller import (
     ForceControllerParameters,
     ForceState,
     approach_velocity,

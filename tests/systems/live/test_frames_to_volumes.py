@@ -13,8 +13,8 @@ from sonoservo.systems.live.motor_sweep import (
     MotorSweepVolumes,
     load_motor_sweep,
 )
-from sonoservo.systems.signals.reconstructed_volume import ReconstructedVolume
 from sonoservo.systems.signals.sweep import Sweep, SweepMotion
+from sonoservo.systems.signals.volume import ReconstructedVolume
 from sonoservo.systems.ultrasound.frame_reconstruction import reconstruct
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
 from sonoservo.systems.ultrasound.scan_conversion import ScanConversion, make_grid

@@ -1,7 +1,7 @@
 import numpy as np
 from synthetic_volumes import Scene
 
-from sonoservo.systems.signals.acquisition import acquired_from
+from sonoservo.systems.signals.volume import acquired_from
 
 RNG = np.random.default_rng(0)
 

@@ -18,7 +18,7 @@ from tracked_frames import freehand, write_plus_file
 from fuzzing.engine import Outcome, judge
 from fuzzing.mutations import mutate
 from sonoservo.diagrams.app.volumes.locate import locate_in_recording
-from sonoservo.diagrams.app.volumes.reconstruct import ReconstructedRecording
+from sonoservo.diagrams.app.volumes.opening import ReconstructedRecording
 from sonoservo.diagrams.studies import runs, study
 from sonoservo.diagrams.studies.store import Store
 from sonoservo.systems.evaluation.log import read_log, write_log

@@ -9,12 +9,12 @@ import numpy as np
 from sonoservo.diagrams.benchmark.sequence import load_suites
 from sonoservo.diagrams.experiments.following_scene import make_scene, observer_events
 from sonoservo.diagrams.studies.robustness.planned_motion import MotionPlan, simulate_planned
-from sonoservo.diagrams.studies.robustness.turned_dials import scenario_of
+from sonoservo.diagrams.studies.robustness.runs import scenario_of
 from sonoservo.systems.evaluation.run_errors import at_times, in_frame
 from sonoservo.systems.evaluation.run_logger import RunLogger
 from sonoservo.systems.evaluation.success import conspicuous_length
 from sonoservo.systems.recording.volume_collector import VolumeCollector
-from sonoservo.systems.signals.acquisition import acquired_from
+from sonoservo.systems.signals.volume import acquired_from
 
 SETTLED = 4.0
 """Time in s for which a sequence goes on after the first push."""

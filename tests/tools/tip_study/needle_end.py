@@ -6,10 +6,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.systems.signals.blur import blur_covariance
 from sonoservo.systems.signals.point_spread import PointSpread
 from sonoservo.systems.signals.requirements import require
-from sonoservo.systems.signals.sweep import SweepGeometry
+from sonoservo.systems.signals.sweep import SweepGeometry, blur_covariance
 
 Floats = NDArray[np.float64]
 

@@ -7,9 +7,8 @@ import numpy as np
 from pydrake.math import RigidTransform
 from renderers import CLEAN
 
-from sonoservo.systems.signals.blur import blur_covariance
 from sonoservo.systems.signals.needle import Needle
-from sonoservo.systems.signals.sweep import Sweep, SweepMotion
+from sonoservo.systems.signals.sweep import Sweep, SweepMotion, blur_covariance
 from sonoservo.systems.ultrasound.beam import beam_profile, point_spread
 from sonoservo.systems.ultrasound.imaging import ImagingParameters, sweep_geometry
 from sonoservo.systems.ultrasound.simulation.needles.needle_echo import (

@@ -10,7 +10,7 @@ from tracked_frames import freehand, write_plus_file
 
 from sonoservo.diagrams import track_recording
 from sonoservo.diagrams.app.cli import run_arguments
-from sonoservo.diagrams.app.volumes.reconstruct import ReconstructedRecording
+from sonoservo.diagrams.app.volumes.opening import ReconstructedRecording
 from sonoservo.diagrams.app.volumes.track import tracker_parameters
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.recording.recording import Recording

@@ -19,9 +19,18 @@ from sonoservo.diagrams.studies.robustness import reproduction
 from sonoservo.diagrams.studies.robustness.analysis import Group, Record, threshold
 from sonoservo.diagrams.studies.robustness.planned_motion import MotionPlan
 from sonoservo.diagrams.studies.robustness.report import report
-from sonoservo.diagrams.studies.robustness.runs import OURS, TRACKERS, as_in_probe, record, run_case
+from sonoservo.diagrams.studies.robustness.runs import (
+    GRADED,
+    OURS,
+    PLAIN,
+    TRACKERS,
+    as_in_probe,
+    record,
+    run_case,
+    scenario_of,
+    turned,
+)
 from sonoservo.diagrams.studies.robustness.search_path import SearchPath
-from sonoservo.diagrams.studies.robustness.turned_dials import GRADED, PLAIN, scenario_of, turned
 from sonoservo.diagrams.studies.study import Case, Outcome, StudyOptions
 from sonoservo.diagrams.studies.study_report import write_study
 from sonoservo.systems.evaluation.success import judged_errors

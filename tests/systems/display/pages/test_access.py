@@ -1,6 +1,6 @@
 import pytest
 
-from sonoservo.systems.display.pages.access import Access
+from sonoservo.systems.display.pages.site import Access
 
 HERE = Access(token="secret")
 EVERYWHERE = Access("*", token="secret")
@@ -26,7 +26,7 @@ def test_other_names_are_refused(host):
 
 
 def test_a_server_at_all_addresses_is_known_by_numbers_but_not_by_any_name(monkeypatch):
-    monkeypatch.setattr("sonoservo.systems.display.pages.access.gethostname", lambda: "Theatre3")
+    monkeypatch.setattr("sonoservo.systems.display.pages.site.gethostname", lambda: "Theatre3")
     for host in ("192.0.2.7:7000", "[2001:db8::7]:7000", "theatre3:7000", "localhost:7000"):
         assert asks(EVERYWHERE, host) is None
     for host in ("evil.example", "theatre3.evil.example", "192.0.2.7.evil.example", "", "*"):
