@@ -25,7 +25,7 @@ from sonoservo.diagrams.scenario import Scenario, draw_seeds, require_scenario
 from sonoservo.diagrams.station import MakeStation
 from sonoservo.systems.control.controller_schedule import OperatorSettings
 from sonoservo.systems.display.console.console_feed import ConsoleFeed
-from sonoservo.systems.display.world.world_view import WorldView, WorldViewParameters
+from sonoservo.systems.display.world.world_view import WorldView
 from sonoservo.systems.evaluation.explanation.explained_volume import ExplanationRecorder
 from sonoservo.systems.evaluation.metrics import summarize
 from sonoservo.systems.evaluation.reports.track_plots import PictureRecorder, VolumePictures
@@ -158,9 +158,7 @@ class FollowingExperiment(Experiment[FollowingScenario]):
         }
         if meshcat is not None:
             frames = int(scenario.duration / geometry.period) + 1 if film else 0
-            systems["world_view"] = WorldView(
-                meshcat=meshcat, parameters=WorldViewParameters(film_frames=frames)
-            )
+            systems["world_view"] = WorldView(meshcat=meshcat, film_frames=frames)
         if console is not None:
             systems["console_feed"] = ConsoleFeed(console=console, **a_moment_later)
         self._recorder: VolumeRecorder | None = None

@@ -7,4 +7,3 @@ from .pages.meshcat_page import open_meshcat as open_meshcat
 from .pages.site import Site as Site
 from .shape_view import ShapeView as ShapeView
 from .world.world_view import WorldView as WorldView
-from .world.world_view import WorldViewParameters as WorldViewParameters

@@ -1,6 +1,5 @@
 from .hand import Hand as Hand
 from .hand import OperatorHand as OperatorHand
-from .hand import OperatorHandParameters as OperatorHandParameters
 from .insertion import Insertion as Insertion
 from .insertion_parameters import FeedParameters as FeedParameters
 from .insertion_parameters import InsertionParameters as InsertionParameters

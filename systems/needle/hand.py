@@ -14,7 +14,6 @@ from sonoservo.systems.needle.insertion_parameters import Push
 from sonoservo.systems.signals.immutable import Immutable
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.ports import declare_output
-from sonoservo.systems.signals.requirements import Bounded, Positive
 
 
 class Hand(LeafSystem):
@@ -44,24 +43,13 @@ class Hand(LeafSystem):
         output.set_value(self._insertion.needle(context.get_time()))
 
 
-@dataclass(kw_only=True)
-class OperatorHandParameters(Bounded):
-    """Parameters of a hand that follows an operator's target.
+_PERIOD = 1 / 16  # sampling period of an operator's target, in s
 
-    Parameters
-    ----------
-    period
-        Sampling period of the target, in s.
-    speed
-        Highest speed of the needle along its axis, in m/s. A needle that is pushed in much faster
-        comes to rest before enough volumes show its motion, and is not detected.
-    turning_deg
-        Highest rate at which the needle is turned about its axis, in deg/s.
-    """
+SPEED = 0.012
+"""Highest speed of the needle along its axis, in m/s. A needle that is pushed in much faster comes
+to rest before enough volumes show its motion, and is not detected."""
 
-    period: Positive = 1 / 16
-    speed: Positive = 0.012
-    turning_deg: Positive = 90.0
+TURNING_DEG = 90.0  # highest rate at which the needle is turned about its axis, in deg/s
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,19 +85,11 @@ class OperatorHand(LeafSystem):
     make_insertion
         Function that makes an insertion from successive pushes, the first of which starts at time
         zero.
-    parameters
-        Limits of the hand's motion.
     """
 
-    def __init__(
-        self,
-        *,
-        make_insertion: Callable[[list[Push]], Insertion],
-        parameters: OperatorHandParameters | None = None,
-    ) -> None:
+    def __init__(self, *, make_insertion: Callable[[list[Push]], Insertion]) -> None:
         super().__init__()
         self._make_insertion = make_insertion
-        self._parameters = parameters or OperatorHandParameters()
         insertion = make_insertion([])
         start = OperatorInsertion(insertion, insertion.parameters.initial_depth or 0.0)
         self.DeclareVectorInputPort("needle_target", 4)
@@ -117,7 +97,7 @@ class OperatorHand(LeafSystem):
         declare_output(
             self, "needle", Needle, self._calc_needle, {self.time_ticket(), self.xa_ticket()}
         )
-        self.DeclarePeriodicUnrestrictedUpdateEvent(self._parameters.period, 0.0, self._update)
+        self.DeclarePeriodicUnrestrictedUpdateEvent(_PERIOD, 0.0, self._update)
 
     def insertion(self, context: Context) -> Insertion:
         """Return the insertion by all pushes so far."""
@@ -138,7 +118,7 @@ class OperatorHand(LeafSystem):
     def _update(self, context: Context, state: State) -> None:
         driven = self._driven(context)
         target = self.GetInputPort("needle_target").Eval(context)
-        push = next_push(driven, target, context.get_time(), self._parameters)
+        push = next_push(driven, target, context.get_time())
         state.get_mutable_abstract_state(0).set_value(
             OperatorInsertion(
                 self._make_insertion(appended(driven.insertion.parameters.pushes, push)),
@@ -151,20 +131,14 @@ class OperatorHand(LeafSystem):
         output.set_value(self.insertion(context).needle(context.get_time()))
 
 
-def next_push(
-    driven: OperatorInsertion,
-    target: NDArray[np.float64],
-    time: float,
-    parameters: OperatorHandParameters,
-) -> Push:
+def next_push(driven: OperatorInsertion, target: NDArray[np.float64], time: float) -> Push:
     """Return the hand's push in the next period."""
-    period = parameters.period
     depth, turn_deg = float(target[0]), float(np.rad2deg(target[1]))
     aim = new_aim(driven.insertion, target) if _can_follow(driven.insertion, target, time) else {}
     return Push(
-        duration=period,
-        speed=_limited((depth - driven.depth) / period, parameters.speed),
-        turning_deg=_limited((turn_deg - driven.turn_deg) / period, parameters.turning_deg),
+        duration=_PERIOD,
+        speed=_limited((depth - driven.depth) / _PERIOD, SPEED),
+        turning_deg=_limited((turn_deg - driven.turn_deg) / _PERIOD, TURNING_DEG),
         **aim,
     )
 

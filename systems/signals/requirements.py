@@ -34,9 +34,9 @@ class Bound:
     fits: Callable[[Any], bool]
 
 
-def above(low: float, unit: str = "") -> Bound:
+def above(low: float) -> Bound:
     """Return the bound of a number above a limit."""
-    return Bound(f"a number above {low:g}{unit}", lambda value: _is_finite(value) and value > low)
+    return Bound(f"a number above {low:g}", lambda value: _is_finite(value) and value > low)
 
 
 def at_least(low: float, unit: str = "") -> Bound:

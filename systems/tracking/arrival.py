@@ -70,7 +70,6 @@ def add_volume(
     logs: Floats,
     ratios: Floats,
     repeats: Floats,
-    seen: NDArray[np.bool_],
     renewed: float,
     prior: float,
 ) -> None:
@@ -86,12 +85,11 @@ def add_volume(
         (n, t, b) log ratios of all contrasts since the bin arrived at one of t times, there against
         not there; changed. The first time stands for "always", the last one for this volume's.
     ratios
-        (n, b) log ratios of the volume's contrasts, shown against nothing.
+        (n, b) log ratios of the volume's contrasts, shown against nothing; NaN where they are not
+        seen.
     repeats
         (n, b) densities of a repetition of the last volume's contrast, relative to nothing's; NaN
         where that was not seen.
-    seen
-        (n, b) flags of the bins that are seen.
     renewed
         Probability that a bin is drawn anew since the last volume.
     prior
@@ -101,9 +99,9 @@ def add_volume(
     first = np.isnan(repeats)
     anew, same = np.where(first, 1.0, renewed), np.where(first, 0.0, (1 - renewed) * repeats)
     nothing = anew + same
-    logs[:, 1:][:, -1:] += np.where(seen, np.log(drawn / nothing), 0.0)[:, np.newaxis]
+    logs[:, 1:][:, -1:] += np.nan_to_num(np.log(drawn / nothing))[:, np.newaxis]
     earlier = logs[:, : max(logs.shape[1] - 1, 1)]
-    earlier += np.where(seen, np.log((anew * drawn + same) / nothing), 0.0)[:, np.newaxis]
+    earlier += np.nan_to_num(np.log((anew * drawn + same) / nothing))[:, np.newaxis]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

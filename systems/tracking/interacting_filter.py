@@ -1,4 +1,4 @@
-"""Interacting Kalman filters on a needle that moves in three ways, and its end in three."""
+"""Interacting Kalman filters on a needle that moves in four ways, and its end in three."""
 
 import math
 from dataclasses import dataclass, field, replace
@@ -30,23 +30,23 @@ _AVERAGED = 0.05
 class InteractingState(Immutable):
     """Belief about the needle as it is seen, and about what is not seen of it.
 
-    There is a row for each of three motions of the needle as a whole and three of its end. With n
+    There is a row for each of four motions of the needle as a whole and three of its end. With n
     control points, d = 9n + 2.
     """
 
     time: float
     """Time for which the state holds, in s."""
 
-    means: Annotated[Floats, Shape(9, "d")]
+    means: Annotated[Floats, Shape(12, "d")]
     """In W: control points from the entry to the end that is seen in m, their velocities in m/s,
     and the repeated error of the measured points, relative to its standard deviation; length of
     needle in m from there to the tip, and the speed in m/s at which it grows. These last two are 0
     unless the end hides."""
 
-    covariances: Annotated[Floats, Shape(9, "d", "d")]
+    covariances: Annotated[Floats, Shape(12, "d", "d")]
     """Covariances of the same."""
 
-    weights: Annotated[Floats, Shape(9)]
+    weights: Annotated[Floats, Shape(12)]
     """Probabilities of the motions."""
 
     constant: Annotated[Floats, Shape("3n", "3n")]
@@ -121,10 +121,12 @@ class InteractingState(Immutable):
 class InteractingFilter:
     """Filter of a needle that moves steadily or not, with errors that repeat themselves.
 
-    Three Kalman filters as in Chatelain 2013 (eqs. 3-14) interact (Blom and Bar-Shalom 1988): one
-    with little acceleration, one with much of it along the needle, and one with much of it in every
-    direction. A hand rests or pushes evenly most of the time, and then the measurements of many
-    volumes count. It starts and stops, and tissue that breathes carries the needle along.
+    Four Kalman filters as in Chatelain 2013 (eqs. 3-14) interact (Blom and Bar-Shalom 1988): one
+    with little acceleration, one with much of it along the needle, one with much of it in every
+    direction, and one with very much of it along the needle. A hand rests or pushes evenly most of
+    the time, and then the measurements of many volumes count. It starts and stops, tissue that
+    breathes carries the needle along, and a hand that jerks, or a patient who does, moves it by
+    centimetres within a volume.
 
     Under each of them, the end that is seen advances, rests or hides. One that advances is the tip.
     One that rests is so because the hand rests, or because the needle's echo fades there: then it
@@ -140,10 +142,12 @@ class InteractingFilter:
     ----------
     kind
         Name of the filter, always "interacting".
-    steady, unsteady, carried
+    steady, unsteady, carried, jerked
         Spectral densities of the needle's acceleration under each model.
     lasting
         Mean time in s for which a needle, or its end, moves in one way.
+    calm
+        Mean time in s from one jerk to the next.
     unseen_time
         Time in s in which the speed of a tip that is not seen falls to 1/e. A hand that pushes
         stops before long.
@@ -168,7 +172,11 @@ class InteractingFilter:
     carried: NeedleMotionParameters = field(
         default_factory=lambda: NeedleMotionParameters(body=3e-5)
     )
+    jerked: NeedleMotionParameters = field(
+        default_factory=lambda: NeedleMotionParameters(insertion=1e-2, body=3e-5)
+    )
     lasting: Positive = 2.0
+    calm: Positive = 20.0
     unseen_time: Positive = 0.5
     constant: float = 0.25
     repeated: float = 0.65
@@ -205,10 +213,10 @@ class InteractingFilter:
         unseen = measurement.unseen
         return InteractingState(
             measurement.time,
-            np.stack([mean] * 9),
-            np.stack([advancing, P, hidden] * 3),
+            np.stack([mean] * 12),
+            np.stack([advancing, P, hidden] * 4),
             # Before anything is known, a hand that pushes is as probable as one that rests.
-            np.tile([0.5 * (1 - unseen), 0.5 * (1 - unseen), unseen], 3) / 3,
+            np.kron([1, 1, 1, 0], [0.5 * (1 - unseen), 0.5 * (1 - unseen), unseen]) / 3,
             self._constant(measurement, R),
             measurement,
             k,
@@ -219,14 +227,18 @@ class InteractingFilter:
         dt = time - state.time
         if dt <= 0:
             return state
-        left = 1 - math.exp(-dt / self.lasting)
-        switch = np.kron((1 - 1.5 * left) * np.eye(3) + 0.5 * left, np.eye(3))
+        left, jerks = 1 - math.exp(-dt / self.lasting), 1 - math.exp(-dt / self.calm)
+        switch = (1 - 1.5 * left) * np.eye(4) + 0.5 * left
+        switch[:, 3], switch[3] = left / 3, jerks
+        switch[:3, :3] *= 1 - jerks
+        switch[3, 3] = 1 - left
+        switch = np.kron(switch, np.eye(3))
         weights, x, P = _mixed(switch * state.weights, state.means, state.covariances)
         size, curve = state.means.shape[1] // 3, state.curve
         moving, count = slice(2 * size), len(weights)
         A = np.stack([np.eye(3 * size + 2)] * count)
         Q = np.zeros_like(A)
-        for model, motion in enumerate((self.steady, self.unsteady, self.carried)):
+        for model, motion in enumerate((self.steady, self.unsteady, self.carried, self.jerked)):
             n, rests = 3 * model, replace(motion, insertion=0.0)
             A[n, moving, moving], Q[n, moving, moving] = constant_velocity(
                 dt, motion.density(curve)
@@ -330,9 +342,9 @@ class InteractingFilter:
         T = np.array([[same, same, show], [stop, same, same], [hide, same, same]])
         drift = np.zeros((3, 3, len(same)))
         drift[0, 1], drift[2, 1:] = starts, slides
-        x, P = state.means.reshape(3, 1, 3, -1, 1), state.covariances.reshape(3, 1, 3, *same.shape)
+        x, P = state.means.reshape(4, 1, 3, -1, 1), state.covariances.reshape(4, 1, 3, *same.shape)
         P = T @ P @ T.swapaxes(-1, -2) + drift[..., np.newaxis] * drift[..., np.newaxis, :]
-        came = ways * state.weights.reshape(3, 1, 3)
+        came = ways * state.weights.reshape(4, 1, 3)
         weights, means, covariances = _mixed(came, (T @ x)[..., 0], P)
         return replace(
             state,
@@ -374,7 +386,7 @@ def _beyond(axis: Floats, size: int) -> Floats:
 
 
 def _beyond_end(means: Floats, covariances: Floats) -> Floats:
-    """Return (9,) probabilities that no tip lies before the end that is seen."""
+    """Return (12,) probabilities that no tip lies before the end that is seen."""
     return ndtr(means[:, -2] / np.sqrt(np.maximum(covariances[:, -2, -2], 1e-12)))
 
 

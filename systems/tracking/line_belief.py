@@ -8,7 +8,7 @@ wire, and a probe that moves needs none but that of one that rests.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,11 +20,14 @@ from sonoservo.systems.signals.volume import Volume, acquired_from
 from sonoservo.systems.tracking.arrival import add_volume, advances, class_logs
 from sonoservo.systems.tracking.cells import Cells, cells_of, tissue_shift
 from sonoservo.systems.tracking.line_contrast import (
+    ALL_NEW,
     BIN,
     BINS,
     MIDDLES,
-    contrasts_and_sides,
-    line_contrasts,
+    Change,
+    LineLevels,
+    change_between,
+    line_levels,
     log_ratio,
     repeat_ratio,
     stretches,
@@ -41,19 +44,12 @@ what came before them was always there."""
 _SHOWS = 0.7
 """Probability that a bin of a line shows itself: speckle and shadows hide the others."""
 
-_RENEWED = 0.03
-"""Probability that a bin is drawn anew from one volume to the next while the probe rests."""
-
-_PLACE, _DEPTH, _TURN = 2e-3, 6e-3, np.deg2rad(2.0)
-"""Unit of the probe's motion between two volumes: across its axis and along it in m, and turn in
-rad, after which half of the speckle is new."""
-
 _OTHERS = np.array([0.7, 0.1, 0.2])
 """Prior probabilities of a line that is no needle: resting, riding, and nothing but speckle."""
 
-_NEEDLES, _MOST_NEEDLES = 0.002, 0.002
-"""Number of needles that come with a volume, one in some minutes, and largest prior probability
-that a new line is one: the more lines come, the fewer of them are needles."""
+_NEEDLES = 0.002
+"""Number of needles that come with a volume, one in some minutes: the more lines come with it, the
+fewer of them are needles."""
 
 _BIRTHS = 0.05
 """Share of a volume in the average number of lines that come with one."""
@@ -65,9 +61,9 @@ _SHADOWED, _LIGHTER = 10.0, 0.5
 """Fall of the level beside a bin in dB by which something shadows it, so that it tells nothing, and
 by how much that level may fall from volume to volume without a shadow."""
 
-_APPEARS, _APPEARS_BY_MOTION = 0.002, 0.05
-"""Probabilities that a line appears at once with a volume, at rest and per unit of motion: a
-specular surface comes into view, or a shadow goes."""
+_APPEARS = 0.1
+"""Ratio of the probability that a line appears at once, as a specular surface comes into view or a
+shadow goes, to that with which a bin is drawn anew; measured in volumes without a needle."""
 
 _NEUTRAL, _BEST_LOOKS, _MOST_LOOKS = -4.0, 2.0, (-20.0, 4.0)
 """Log odds of a line's looks that speak neither for nor against a needle that moves like one (of
@@ -99,12 +95,17 @@ class Remembered(Immutable):
     displacement, velocity
         (3,) displacement at the volume's time in m, and its rate of change in m/s: a sweep takes
         long enough for breath to go on.
+    change, image_change
+        How the contrasts of lines changed since the volume before, at places in the tissue and in
+        the image.
     """
 
     volume: Volume
     cells: Cells
     displacement: Floats
     velocity: Floats
+    change: Change = ALL_NEW
+    image_change: Change = ALL_NEW
 
     def in_tissue(self, p_P: Floats) -> Floats:
         """Return (n, 3) places in the tissue, in m, of (n, 3) positions in P."""
@@ -144,10 +145,10 @@ class Lines:
         (n, BINS) level beside each bin in dB, while nothing shadows it.
     image_logs
         (n, 1, BINS) the same along the line that keeps its place in the image.
-    image_contrasts
-        (n, BINS) contrasts along it in the newest volume in dB; NaN where it is not seen.
-    contrasts, seen
-        (n, BINS) contrasts in the newest volume in dB, and flags of what is seen.
+    image_levels
+        (n, BINS) levels along it in the newest volume in dB; NaN where it is not seen.
+    levels, contrasts
+        (n, BINS) the same of the line in the tissue, and contrasts.
     prominence
         (n,) evidence for a line, whatever it is, averaged over the last volumes.
     looks, looked
@@ -172,9 +173,9 @@ class Lines:
     logs: Floats
     sides: NDArray[np.float32]
     image_logs: Floats
-    image_contrasts: NDArray[np.float32]
+    image_levels: NDArray[np.float32]
+    levels: NDArray[np.float32]
     contrasts: NDArray[np.float32]
-    seen: NDArray[np.bool_]
     prominence: Floats
     looks: Floats
     looked: Floats
@@ -210,8 +211,7 @@ def _new_lines(ends: Floats, ends_P: Floats, numbers: Floats, times: int) -> Lin
     return Lines(
         points, directions, 0.5 * length * [-1.0, 1.0], image_points, image_directions,
         np.zeros((n, times, BINS)), np.zeros((n, BINS), np.float32), np.zeros((n, 1, BINS)),
-        np.full((n, BINS), np.nan, np.float32),
-        np.zeros((n, BINS), np.float32), np.zeros((n, BINS), bool),
+        *np.full((3, n, BINS), np.nan, np.float32),
         np.zeros(n), np.zeros(n), np.zeros(n), numbers, np.zeros((n, 1 + len(LINE_CLASSES))),
         np.zeros((n, 5)), np.zeros((n, _REMEMBERED, 5)),
     )  # fmt: skip
@@ -235,8 +235,8 @@ class LineBelief(Immutable):
         first stands for "always".
     born, births
         Number of lines so far, and how many come with a volume, averaged over the last ones.
-    unread
-        Last volumes that nobody looked for lines in, oldest first.
+    time
+        Time of the newest volume in s; -inf before the first one.
     """
 
     memory: tuple[Remembered, ...] = ()
@@ -244,24 +244,11 @@ class LineBelief(Immutable):
     appearing: tuple[float, ...] = (-50.0,)
     born: int = 0
     births: float = 0.0
-    unread: tuple[Volume, ...] = ()
+    time: float = -np.inf
 
-    @property
-    def time(self) -> float:
-        """Time of the newest volume in s; -inf before the first one."""
-        volumes = self.unread or tuple(each.volume for each in self.memory[-1:])
-        return volumes[-1].time if volumes else -np.inf
-
-    def unread_after(self, volume: Volume) -> "LineBelief":
-        """Return the belief after a volume that is not searched for lines, as nobody needs them.
-
-        The lines are forgotten; those of a later volume are looked for in this one, too. What
-        arrived in the meantime counts as having been there always.
-        """
-        volumes = self.unread or tuple(each.volume for each in self.memory)
-        return LineBelief(
-            born=self.born, births=self.births, unread=(*volumes[1 - _REMEMBERED :], volume)
-        )
+    def rested(self, volume: Volume) -> "LineBelief":
+        """Return the belief after a volume that nobody looks for lines in: they are forgotten."""
+        return LineBelief(born=self.born, births=self.births, time=volume.time)
 
     @property
     def hypotheses(self) -> LineHypotheses:
@@ -300,17 +287,22 @@ def follow(belief: LineBelief, volume: Volume, *, look: bool = False) -> LineBel
         Whether all prominent lines are judged by their looks, not only those that move like a
         needle.
     """
-    memory = belief.memory
-    for each in (*belief.unread, volume):
-        memory = (*memory[1 - _REMEMBERED :], _remember(each, memory))
-    appears = _APPEARS + _APPEARS_BY_MOTION * min(_motion(memory), 1.0)
+    memory = (*belief.memory[1 - _REMEMBERED :], _remember(volume, belief.memory))
+    shown = _shown_at(belief.lines, memory[-1])
+    newest = replace(
+        memory[-1],
+        change=change_between(shown.along, belief.lines.levels),
+        image_change=change_between(shown.riding, belief.lines.image_levels),
+    )
+    memory = (*memory[:-1], newest)
     appearing = belief.appearing
     if len(memory) > 1:
         # The oldest arrivals but "always" are forgotten.
-        appearing = (-50.0, *appearing[1:][2 - _REMEMBERED :], float(np.log(appears)))
-    lines = _look_on(belief.lines, memory, len(appearing))
+        appears = float(np.log(_APPEARS * newest.change.renewed))
+        appearing = (-50.0, *appearing[1:][2 - _REMEMBERED :], appears)
+    lines = _look_on(belief.lines, shown, newest, len(appearing))
     born = belief.born
-    needle = _NEEDLES / max(belief.births, _NEEDLES / _MOST_NEEDLES)
+    needle = _NEEDLES / max(belief.births, 1.0)
     prior = np.log(np.r_[needle / 2, needle / 2, (1 - needle) * _OTHERS])
     fits = fitted_lines(volume, memory[-1].cells)
     lines, born = _add_fits(lines, fits, memory, born, prior)
@@ -338,17 +330,7 @@ def follow(belief: LineBelief, volume: Volume, *, look: bool = False) -> LineBel
         past = np.concatenate([lines.past[:, 1:], now[:, np.newaxis]], axis=1)
         lines = replace(lines, classes=classes, past=past)
         lines = _judged(lines, memory[-1], fits, look)
-    return LineBelief(memory, lines, appearing, born, births)
-
-
-def _motion(memory: Sequence[Remembered]) -> float:
-    """Return how far the probe moved between the last two volumes, in units of its speckle's."""
-    if len(memory) < 2:
-        return 0.0
-    X = memory[-2].volume.X_WP.inverse().multiply(memory[-1].volume.X_WP)
-    x, y, z = X.translation()
-    turn = float(X.rotation().ToAngleAxis().angle())
-    return max(float(np.hypot(x, z)) / _PLACE, abs(y) / _DEPTH, turn / _TURN)
+    return LineBelief(memory, lines, appearing, born, births, volume.time)
 
 
 def _passing(lines: Lines, memory: Sequence[Remembered], times: int) -> Floats:
@@ -381,39 +363,47 @@ def _remember(volume: Volume, memory: Sequence[Remembered]) -> Remembered:
     )
 
 
-def _shown_at(lines: Lines, each: Remembered) -> tuple[Any, Any, Any, Any, Any]:
-    """Return contrasts, levels beside, and flags of what is seen along lines in the tissue.
+class _Shown(NamedTuple):
+    """What a volume shows along lines in the tissue, and along those in the image."""
 
-    Then contrasts and flags along those in the image.
-    """
+    along: LineLevels
+    riding: LineLevels
+
+
+def _shown_at(lines: Lines, each: Remembered) -> _Shown:
     reach = MIDDLES[-1] / 2 * lines.directions
     n = len(lines)
     p_P = each.in_image(np.concatenate([lines.points - reach, lines.points + reach]))
     along = p_P[n:] - p_P[:n]
     along /= np.linalg.norm(along, axis=1, keepdims=True)
-    here = contrasts_and_sides(each.volume, 0.5 * (p_P[:n] + p_P[n:]), along)
-    riding = line_contrasts(each.volume, lines.image_points, lines.image_directions)
-    return *here, *riding
+    here = line_levels(each.volume, 0.5 * (p_P[:n] + p_P[n:]), along)
+    riding = line_levels(each.volume, lines.image_points, lines.image_directions)
+    return _Shown(here, riding)
 
 
-def _add(lines: Lines, memory: Sequence[Remembered], begun: int) -> None:
-    """Add the newest of some volumes to what is known of lines, for the arrivals so far."""
-    motion = _motion(memory)
-    renewed = max(_RENEWED, 1 - 0.5**motion)
-    contrasts, sides, seen, riding, riding_seen = _shown_at(lines, memory[-1])
-    lines.sides[:] = np.where(seen, np.maximum(lines.sides - _LIGHTER, sides), lines.sides)
-    seen = seen & (sides > lines.sides - _SHADOWED)
-    logs = lines.logs[:, :begun]
-    before = np.where(lines.seen, lines.contrasts, np.float32(np.nan))
-    repeats = repeat_ratio(contrasts, before)
-    add_volume(logs, log_ratio(contrasts), repeats, seen, renewed, _SHOWS)
-    repeats = repeat_ratio(riding, lines.image_contrasts)
-    add_volume(lines.image_logs, log_ratio(riding), repeats, riding_seen, renewed, _SHOWS)
-    lines.contrasts[:], lines.seen[:] = contrasts, seen
-    lines.image_contrasts[:] = np.where(riding_seen, riding, np.nan)
+@np.errstate(invalid="ignore")
+def _add(lines: Lines, shown: _Shown, each: Remembered, begun: int) -> None:
+    """Add what a volume shows to what is known of lines, for the arrivals so far."""
+    beside = shown.along.levels - shown.along.contrasts
+    lighter = np.maximum(lines.sides - _LIGHTER, beside)
+    lines.sides[:] = np.where(np.isnan(beside), lines.sides, lighter)
+    lit = shown.along.where(beside > lines.sides - _SHADOWED)
+    for logs, before, now, change in (
+        (lines.logs[:, :begun], lines.levels, lit, each.change),
+        (lines.image_logs, lines.image_levels, shown.riding, each.image_change),
+    ):
+        add_volume(
+            logs,
+            log_ratio(now.contrasts),
+            repeat_ratio(now, before, change),
+            change.renewed,
+            _SHOWS,
+        )
+        before[:] = now.levels
+    lines.contrasts[:] = lit.contrasts
 
 
-def _look_on(lines: Lines, memory: Sequence[Remembered], times: int) -> Lines:
+def _look_on(lines: Lines, shown: _Shown, newest: Remembered, times: int) -> Lines:
     """Return lines after another volume, with one more time of arrival."""
     n, before = len(lines), lines.logs.shape[1]
     kept = np.r_[0, before - times + 2 : before] if before >= times else np.arange(before)
@@ -423,15 +413,15 @@ def _look_on(lines: Lines, memory: Sequence[Remembered], times: int) -> Lines:
         if times > 1
         else lines.logs.copy(),
         image_logs=lines.image_logs.copy(),
-        image_contrasts=lines.image_contrasts.copy(),
         sides=lines.sides.copy(),
+        image_levels=lines.image_levels.copy(),
+        levels=lines.levels.copy(),
         contrasts=lines.contrasts.copy(),
-        seen=lines.seen.copy(),
     )
     if n == 0:
         return lines
-    _add(lines, memory, times)
-    evidence = stretches(lines.contrasts, lines.seen)[2]
+    _add(lines, shown, newest, times)
+    evidence = stretches(lines.contrasts)[2]
     return replace(lines, prominence=_KEPT * lines.prominence + (1 - _KEPT) * evidence)
 
 
@@ -452,7 +442,7 @@ def _add_fits(
     ends_P = np.array([fit.ends for fit in fits])
     ends = newest.in_tissue(ends_P.reshape(-1, 3)).reshape(-1, 2, 3)
     fresh = _new_lines(ends, ends_P, born + np.arange(len(fits), dtype=np.float64), times)
-    now = brightness(lines.contrasts, lines.seen)
+    now = brightness(lines.contrasts)
     better: dict[int, int] = {}
     taken, new = set[int](), list[int]()
     spans = lines.spans.copy()
@@ -474,9 +464,9 @@ def _add_fits(
     if not changed:
         return replace(lines, spans=spans), born
     added = fresh.take(np.array(changed))
-    for end in range(1, len(memory) + 1):
-        _add(added, memory[:end], max(times - len(memory) + end, 1))
-    added = replace(added, prominence=stretches(added.contrasts, added.seen)[2])
+    for begun, each in enumerate(memory, 1 + times - len(memory)):
+        _add(added, _shown_at(added, each), each, max(begun, 1))
+    added = replace(added, prominence=stretches(added.contrasts)[2])
     olds = np.array(list(better), dtype=int)
     for name in ("looks", "looked", "numbers"):
         getattr(added, name)[: len(olds)] = getattr(lines, name)[olds]
@@ -506,7 +496,7 @@ def _along(fresh: Lines, number: int, lines: Lines) -> NDArray[np.int64]:
 
 def _seen_ends(lines: Lines) -> Floats:
     """Return (n, 2, 3) ends of the stretches that stand out in the newest volume, in the tissue."""
-    firsts, lasts, _ = stretches(lines.contrasts, lines.seen)
+    firsts, lasts, _ = stretches(lines.contrasts)
     a = np.stack([MIDDLES[firsts] - BIN / 2, MIDDLES[np.maximum(lasts, firsts)] + BIN / 2], axis=1)
     return lines.points[:, np.newaxis] + a[..., np.newaxis] * lines.directions[:, np.newaxis]
 
@@ -516,10 +506,10 @@ def _backwards(lines: Lines) -> NDArray[np.bool_]:
 
     A needle advances from there; one at rest is seen as far as the side of the field of view.
     """
-    firsts, lasts, _ = stretches(lines.contrasts, lines.seen)
+    firsts, lasts, _ = stretches(lines.contrasts)
     bins = np.arange(BINS)
     before, beyond = (
-        np.sum(lines.seen & outside, axis=1)
+        np.sum(~np.isnan(lines.contrasts) & outside, axis=1)
         for outside in (bins < firsts[:, np.newaxis], bins > lasts[:, np.newaxis])
     )
     surer = lines.classes[:, 1] - lines.classes[:, 0]
@@ -527,9 +517,9 @@ def _backwards(lines: Lines) -> NDArray[np.bool_]:
 
 
 def _judged(lines: Lines, newest: Remembered, fits: Sequence[FittedLine], look: bool) -> Lines:
-    """Return lines with the looks of those that move like a needle, or of all prominent ones."""
+    """Return lines with the looks of those that may be needles, or of all prominent ones."""
     needle = np.logaddexp(lines.classes[:, 0], lines.classes[:, 1])
-    judged = np.arange(len(lines)) < _JUDGED if look else needle > np.log(0.1)
+    judged = np.arange(len(lines)) < _JUDGED if look else needle > _NEUTRAL - _BEST_LOOKS
     looks, looked = lines.looks.copy(), lines.looked.copy()
     ends = newest.in_image(_seen_ends(lines).reshape(-1, 3)).reshape(-1, 2, 3)
     backwards = _backwards(lines)

@@ -1,7 +1,7 @@
 """Contrast of a line with what lies beside it, and what it tells about the line."""
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit, vectorize
@@ -40,8 +40,8 @@ _DARKEST = -8.0
 _SUREST = 3.3
 """Largest logarithm of the ratio: what one bin can tell, given structures that nobody modelled."""
 
-_REPEATED = 1.5
-"""Standard deviation in dB of a contrast that repeats itself: noise, and a sweep's other time."""
+_ROUNDS = 12
+"""Rounds after which `change_between` has settled."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -70,10 +70,10 @@ def _side(intensities: Any, volume_seen: Any, x: float, y: float, z: float) -> A
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _line_contrasts(  # pragma: no cover - compiled
+def _line_levels(  # pragma: no cover - compiled
     intensities: Any, volume_seen: Any, starts: Any, steps: Any, across: Any, count: int
 ) -> Any:
-    """Return the contrasts of lines, in grey levels, and where they are seen.
+    """Return the levels of lines, and beside them; NaN where they are not seen.
 
     Parameters
     ----------
@@ -88,15 +88,13 @@ def _line_contrasts(  # pragma: no cover - compiled
 
     Returns
     -------
-    (n, count) grey levels of the core above the second brightest of eight sectors of the ring, that
-    sector's level, and (n, count) flags of the bins that are seen. A sheet has two sectors as
-    bright as the line.
+    (n, count) grey levels of the core, and of the second brightest of eight sectors of the ring. A
+    sheet has two sectors as bright as the line.
     """
     nx, ny, nz = intensities.shape
-    contrasts = np.zeros((len(starts), count), np.float32)
-    beside = np.zeros((len(starts), count), np.float32)
-    seen = np.zeros((len(starts), count), np.bool_)
-    core, sides = np.zeros(count), np.zeros((count, 8))
+    levels = np.full((len(starts), count), np.nan, np.float32)
+    beside = np.full((len(starts), count), np.nan, np.float32)
+    seen, core, sides = np.zeros(count, np.bool_), np.zeros(count), np.zeros((count, 8))
     valid = np.zeros((count, 8), np.int64)
     offsets = np.zeros((8, 3))
     for n in range(len(starts)):
@@ -105,7 +103,7 @@ def _line_contrasts(  # pragma: no cover - compiled
             for axis in range(3):
                 offsets[s, axis] = c * across[n, 0, axis] + d * across[n, 1, axis]
         for b in range(count):
-            seen[n, b], core[b] = True, 0.0
+            seen[b], core[b] = True, 0.0
             for half in range(2):
                 a = b + 0.5 * half - 0.25
                 x = starts[n, 0] + a * steps[n, 0]
@@ -115,18 +113,26 @@ def _line_contrasts(  # pragma: no cover - compiled
                     not (1 <= x <= nx - 2 and 1 <= y <= ny - 2 and 1 <= z <= nz - 2)
                     or not (volume_seen[int(x + 0.5), int(y + 0.5), int(z + 0.5)])
                 ):
-                    seen[n, b] = False
+                    seen[b] = False
                     break
                 core[b] += 0.1 * _core(intensities, x, y, z, across[n])
             for s in range(8):
                 valid[b, s], sides[b, s] = 0, 0.0
-                if seen[n, b]:
-                    x = starts[n, 0] + b * steps[n, 0] + offsets[s, 0]
-                    y = starts[n, 1] + b * steps[n, 1] + offsets[s, 1]
-                    z = starts[n, 2] + b * steps[n, 2] + offsets[s, 2]
-                    sides[b, s], valid[b, s] = _side(intensities, volume_seen, x, y, z)
+                if not seen[b]:
+                    continue
+                for half in range(2):
+                    a = b + 0.5 * half - 0.25
+                    x = starts[n, 0] + a * steps[n, 0] + offsets[s, 0]
+                    y = starts[n, 1] + a * steps[n, 1] + offsets[s, 1]
+                    z = starts[n, 2] + a * steps[n, 2] + offsets[s, 2]
+                    # Averages over the ring need no interpolation.
+                    if -0.5 < x < nx - 0.5 and -0.5 < y < ny - 0.5 and -0.5 < z < nz - 0.5:
+                        i, j, k = int(x + 0.5), int(y + 0.5), int(z + 0.5)
+                        if volume_seen[i, j, k]:
+                            sides[b, s] += intensities[i, j, k]
+                            valid[b, s] += 1
         for b in range(count):
-            if seen[n, b]:
+            if seen[b]:
                 first, last = max(b - _AVERAGED, 0), min(b + _AVERAGED + 1, count)
                 brightest, second = 0.0, 0.0
                 for s in range(8):
@@ -134,14 +140,14 @@ def _line_contrasts(  # pragma: no cover - compiled
                     for e in range(first, last):
                         total += sides[e, s]
                         number += valid[e, s]
-                    if 2 * number > last - first:
+                    if number > last - first:
                         total /= number
                         if total > brightest:
                             brightest, second = total, brightest
                         elif total > second:
                             second = total
-                contrasts[n, b], beside[n, b] = core[b] - second, second
-    return contrasts, beside, seen
+                levels[n, b], beside[n, b] = core[b], second
+    return levels, beside
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -150,7 +156,7 @@ def _cross_sections(  # pragma: no cover - compiled
 ) -> Any:
     """Return mean levels on circles around lines, and the shares of them that are seen.
 
-    Arguments as of `_line_contrasts`, and (r,) radii of the circles in m. Returns (n,) grey levels
+    Arguments as of `_line_levels`, and (r,) radii of the circles in m. Returns (n,) grey levels
     of the cores, (n, r, 8) of the sectors, and (n, r, 8) shares.
     """
     lines, circles = len(starts), len(radii)
@@ -196,10 +202,27 @@ def across(directions: Floats) -> Floats:
     return np.moveaxis(np.array(sides), 2, 0)
 
 
-def line_contrasts(
-    volume: Volume, points: Floats, directions: Floats
-) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Return the contrasts along lines in a volume, and where they are seen.
+class LineLevels(NamedTuple):
+    """What a volume shows along n lines.
+
+    Parameters
+    ----------
+    levels
+        (n, BINS) levels of the line in dB; NaN where they are not seen.
+    contrasts
+        (n, BINS) the same above the second brightest side.
+    """
+
+    levels: NDArray[np.float32]
+    contrasts: NDArray[np.float32]
+
+    def where(self, seen: NDArray[np.bool_]) -> "LineLevels":
+        """Return what is seen where a flag is set, too."""
+        return LineLevels(*(np.where(seen, each, np.float32(np.nan)) for each in self))
+
+
+def line_levels(volume: Volume, points: Floats, directions: Floats) -> LineLevels:
+    """Return the levels and contrasts along lines in a volume.
 
     Parameters
     ----------
@@ -207,20 +230,8 @@ def line_contrasts(
         Volume to sample.
     points, directions
         (n, 3) points of abscissa 0 in P, in m, and unit vectors along the lines.
-
-    Returns
-    -------
-    (n, BINS) levels in dB above the second brightest side, and (n, BINS) flags of what is seen.
     """
-    contrasts, _, seen = contrasts_and_sides(volume, points, directions)
-    return contrasts, seen
-
-
-def contrasts_and_sides(
-    volume: Volume, points: Floats, directions: Floats
-) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_]]:
-    """Return what `line_contrasts` does, with the (n, BINS) levels of the sides in dB between."""
-    contrasts, beside, seen = _line_contrasts(
+    levels, beside = _line_levels(
         volume.intensities,
         volume.seen,
         volume.index(points + MIDDLES[0] * directions),
@@ -229,7 +240,7 @@ def contrasts_and_sides(
         BINS,
     )
     scale = np.float32(volume.decibels_per_level)
-    return contrasts * scale, beside * scale, seen
+    return LineLevels(levels * scale, (levels - beside) * scale)
 
 
 def cross_sections(
@@ -280,16 +291,74 @@ def _density(contrast: float, parts: Any) -> float:  # pragma: no cover - compil
 @vectorize(["float64(float32)", "float64(float64)"], cache=True)
 def log_ratio(contrast: Any) -> Any:  # pragma: no cover - compiled
     """Return the logarithm of the likelihood ratio of a contrast in dB: a line against nothing."""
+    if math.isnan(contrast):
+        return math.nan
     contrast = max(contrast, _DARKEST)
     ratio = _density(contrast, _LINE) / _density(contrast, _NOTHING)
     return min(max(math.log(max(ratio, 1e-30)), -_SUREST), _SUREST)
 
 
-@vectorize(["float64(float32, float32)", "float64(float64, float64)"], cache=True)
-def repeat_ratio(contrast: Any, before: Any) -> Any:  # pragma: no cover - compiled
-    """Return the density of a contrast in dB that repeats the one before, relative to nothing's."""
-    nothing = _density(max(contrast, _DARKEST), _LINE) / math.exp(log_ratio(contrast))
-    return math.exp(-0.5 * ((contrast - before) / _REPEATED) ** 2) / _REPEATED / nothing
+class Change(NamedTuple):
+    """How what is seen along lines changes from one volume to the next.
+
+    Parameters
+    ----------
+    renewed
+        Share of the bins that are drawn anew: other speckle, a shadow, a surface that shines.
+    deviation
+        Standard deviation in dB of the levels that repeat themselves: noise, and what the place
+        from which they are taken is out by.
+    """
+
+    renewed: float
+    deviation: float
+
+
+ALL_NEW = Change(1.0, 1.0)
+"""What is shown where nothing was shown before."""
+
+
+@vectorize(["float64(float32)", "float64(float64)"], cache=True)
+def _nothing(contrast: Any) -> Any:  # pragma: no cover - compiled
+    """Return the density of a contrast in dB where there is nothing, up to a constant."""
+    return _density(max(contrast, _DARKEST), _NOTHING)
+
+
+def repeat_ratio(now: LineLevels, before: NDArray[Any], change: Change) -> Floats:
+    """Return the densities of levels that repeat those before, relative to those of nothing new.
+
+    Parameters
+    ----------
+    now
+        What is seen now.
+    before
+        (n, BINS) levels in dB before; NaN where they were not seen, and then in the result.
+    change
+        How levels change between the two.
+    """
+    steps = np.asarray(now.levels - before, np.float64) / change.deviation
+    return np.exp(-0.5 * steps**2) / change.deviation / _nothing(now.contrasts)
+
+
+def change_between(now: LineLevels, before: NDArray[Any]) -> Change:
+    """Return how levels have changed, by expectation and maximisation; arguments of `repeat_ratio`.
+
+    It starts from one bin that is drawn anew, one that is not, and one that differs by 1 dB.
+    """
+    steps = np.asarray(now.levels - before, np.float64)
+    both = np.isfinite(steps)
+    if not both.any():
+        return ALL_NEW
+    contrasts, squares = now.contrasts[both], steps[both] ** 2
+    anew = 0.5 * (1 + np.exp(log_ratio(contrasts))) * _nothing(contrasts)
+    renewed, variance = 0.5, float(np.median(squares)) + 1 / len(squares)
+    for _ in range(_ROUNDS):
+        same = (1 - renewed) * np.exp(-0.5 * squares / variance) / math.sqrt(variance)
+        repeats = 1 - renewed * anew / (renewed * anew + same)
+        total = float(repeats.sum())
+        renewed = (1 + len(squares) - total) / (2 + len(squares))
+        variance = (1 + float(repeats @ squares)) / (1 + total)
+    return Change(renewed, math.sqrt(variance))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -311,6 +380,7 @@ def best_stretches(evidence: Any) -> Any:  # pragma: no cover - compiled
     return firsts, lasts, sums
 
 
-def stretches(contrasts: NDArray[Any], seen: NDArray[np.bool_]) -> Any:
+@np.errstate(invalid="ignore")
+def stretches(contrasts: NDArray[Any]) -> Any:
     """Return `best_stretches` by the `log_ratio`; what is not seen is weak evidence against it."""
-    return best_stretches(np.where(seen, log_ratio(contrasts), -0.5))
+    return best_stretches(np.nan_to_num(log_ratio(contrasts), nan=-0.5))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from sonoservo.systems.sampling.interpolation import trilinear
 from sonoservo.systems.signals.volume import Volume
 from sonoservo.systems.tracking.cells import Cells
-from sonoservo.systems.tracking.line_contrast import BIN, MIDDLES, across, line_contrasts, stretches
+from sonoservo.systems.tracking.line_contrast import BIN, MIDDLES, across, line_levels, stretches
 from sonoservo.systems.tracking.line_search import HALF_LENGTH, bright_lines
 
 Floats = NDArray[np.float64]
@@ -138,10 +138,10 @@ def _brightest_lines(  # pragma: no cover - compiled
     return moved
 
 
-def brightness(contrasts: NDArray[Any], seen: NDArray[np.bool_]) -> Floats:
+def brightness(contrasts: NDArray[Any]) -> Floats:
     """Return (n,) sums of the contrasts in dB of the most evident stretches of lines."""
-    firsts, lasts, _ = stretches(contrasts, seen)
-    totals = np.cumsum(np.where(seen, contrasts, 0), axis=1, dtype=np.float64)
+    firsts, lasts, _ = stretches(contrasts)
+    totals = np.nancumsum(contrasts, axis=1, dtype=np.float64)
     totals = np.pad(totals, ((0, 0), (1, 0)))
     rows = np.arange(len(totals))
     return np.asarray(totals[rows, lasts + 1] - totals[rows, firsts])
@@ -177,11 +177,11 @@ def fitted_lines(volume: Volume, cells: Cells, count: int = LINES) -> list[Fitte
         middles = ends.mean(axis=1)
         along = ends[:, 1] - ends[:, 0]
         k = along / np.linalg.norm(along, axis=1, keepdims=True)
-        contrasts, seen = line_contrasts(volume, middles, k)
-        firsts, lasts, evidence = stretches(contrasts, seen)
+        contrasts = line_levels(volume, middles, k).contrasts
+        firsts, lasts, evidence = stretches(contrasts)
         found = np.flatnonzero((lasts - firsts + 1 >= _SHORTEST) & (evidence >= _LEAST))
         a = np.stack([MIDDLES[firsts[found]] - BIN / 2, MIDDLES[lasts[found]] + BIN / 2], axis=1)
         ends = middles[found, np.newaxis] + a[..., np.newaxis] * k[found, np.newaxis]
-        values, sums = brightness(contrasts[found], seen[found]), evidence[found]
+        values, sums = brightness(contrasts[found]), evidence[found]
     order = np.argsort(-values, kind="stable")
     return [FittedLine(ends[n], float(values[n]), float(sums[n])) for n in order]

@@ -27,7 +27,7 @@ class LineFollower(LeafSystem):
         - belief
 
     ``estimate`` is the `NeedleEstimate` before the volume. While a needle is followed, nobody needs
-    the other lines, and volumes are only kept. ``lines`` are the `LineHypotheses` after the volume
+    the other lines, and they are forgotten. ``lines`` are the `LineHypotheses` after the volume
     at the input, and ``belief`` the `LineBelief` from which they follow; they are a `NotFound` if
     there are none. They depend on the state, on the estimate and on that volume.
 
@@ -76,14 +76,14 @@ class LineFollower(LeafSystem):
         if self.GetInputPort("estimate").HasValue(context):
             mode = evaluate(self, context, "estimate", NeedleEstimate).mode
         if mode in (TrackingMode.TRACKING, TrackingMode.COASTING):
-            return belief.unread_after(volume)
+            return belief.rested(volume)
         return follow(belief, volume, look=self._anywhere or mode == TrackingMode.LOST)
 
     def _calc_lines(self, context: Context, output: Value) -> None:
         belief = self._after.Eval(context)
         if isinstance(belief, LineBelief):
             followed = NotFound(SearchReason.TRACKED())
-            belief = followed if belief.unread else belief.hypotheses
+            belief = belief.hypotheses if belief.memory else followed
         output.set_value(belief)
 
     def _update(self, context: Context, state: State) -> EventStatus:

@@ -16,7 +16,7 @@ from sonoservo.systems.tracking.line_contrast import (
     BIN,
     BINS,
     MIDDLES,
-    line_contrasts,
+    line_levels,
     log_ratio,
     stretches,
 )
@@ -110,10 +110,10 @@ def lie_along(ends: Floats, others: Floats) -> NDArray[np.bool_]:
 def evident_stretches(volume: Volume, ends: Floats) -> Stretches:
     """Return the most evident stretches of lines, the end nearer to the side first."""
     middles, k, _ = _frame(ends)
-    contrasts, seen = line_contrasts(volume, middles, k)
-    firsts, lasts, evidence = stretches(contrasts, seen)
+    contrasts = line_levels(volume, middles, k).contrasts
+    firsts, lasts, evidence = stretches(contrasts)
     here = np.flatnonzero(lasts >= firsts)
-    firsts, lasts, seen = firsts[here], lasts[here], seen[here]
+    firsts, lasts, seen = firsts[here], lasts[here], ~np.isnan(contrasts[here])
     a = np.stack([MIDDLES[firsts] - BIN / 2, MIDDLES[lasts] + BIN / 2], axis=1)
     found = middles[here, np.newaxis] + a[..., np.newaxis] * k[here, np.newaxis]
     before, beyond = _gaps(seen, firsts, lasts)
@@ -121,10 +121,12 @@ def evident_stretches(volume: Volume, ends: Floats) -> Stretches:
     return Stretches(found, evidence[here], np.minimum(before, beyond), np.maximum(before, beyond))
 
 
+@np.errstate(invalid="ignore")
 def stretches_between(volume: Volume, ends: Floats) -> tuple[Stretches, NDArray[np.bool_]]:
     """Return the stretches between (n, 2, 3) entries and tips, and flags of those that are seen."""
     middles, k, length = _frame(ends)
-    contrasts, seen = line_contrasts(volume, middles, k)
+    contrasts = line_levels(volume, middles, k).contrasts
+    seen = ~np.isnan(contrasts)
     inside = (np.abs(MIDDLES) <= 0.5 * length[:, np.newaxis]) & seen
     firsts, lasts = inside.argmax(axis=1), BINS - 1 - inside[:, ::-1].argmax(axis=1)
     evidence = np.where(inside, log_ratio(contrasts), 0.0).sum(axis=1)

@@ -11,7 +11,7 @@ from sonoservo.diagrams import load_scenario, make_experiment
 from sonoservo.systems.display.console.console import Console
 from sonoservo.systems.display.pages.meshcat_page import open_meshcat
 from sonoservo.systems.display.pages.site import Files, Site
-from sonoservo.systems.display.world.world_view import WorldView, WorldViewParameters
+from sonoservo.systems.display.world.world_view import WorldView
 from sonoservo.systems.evaluation.reports.report import save_replay
 from sonoservo.systems.signals.needle_estimate import TrackingMode
 from sonoservo.systems.signals.volume import Volume
@@ -156,7 +156,7 @@ def volume_of(grey, time):
 
 
 def test_every_new_volume_is_seen_and_what_is_off_stays_off(meshcat, open_page):
-    view = WorldView(meshcat=meshcat, parameters=WorldViewParameters())
+    view = WorldView(meshcat=meshcat)
     context = view.CreateDefaultContext()
     page = open_world(open_page, meshcat.web_url())
 

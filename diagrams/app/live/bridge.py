@@ -65,7 +65,6 @@ def play_live(
     link: Link,
     *,
     speed: float = 1.0,
-    name: str = IMAGE,
 ) -> dict[str, Any]:
     """Send recorded volumes as a scanner would, to the end or until an interruption.
 
@@ -80,7 +79,7 @@ def play_live(
             if speed > 0:
                 due = (recording.times[number] - recording.times[0]) / speed
                 time.sleep(max(0.0, due - (time.perf_counter() - started)))
-            link.send(volume_items(volume, name, recording.settings), topic="volume", keep=2)
+            link.send(volume_items(volume, IMAGE, recording.settings), topic="volume", keep=2)
             if speed == 0:
                 link.flush(_PATIENCE)
             count += 1

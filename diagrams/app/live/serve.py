@@ -35,9 +35,7 @@ _NAMED = ("tip", "curve", "status", "covariance")
 _POLL = 0.05  # Time in s between two checks of the number of peers
 
 
-def live_senders(
-    link: Link, scenario: Scenario, names: NeedleNames | None = None
-) -> dict[str, System]:
+def live_senders(link: Link, scenario: Scenario) -> dict[str, System]:
     """Return systems that send volumes, frames, slices, pose, estimate and truth of a scenario."""
     scenario = require_scenario(scenario, FollowingScenario)
     period, offset = observer_events(scenario).values()
@@ -49,7 +47,7 @@ def live_senders(
             outlet=link, feed=volume_feed(settings=recording_settings(scenario)), **look
         ),
         "slice_sender": Sender(outlet=link, feed=slice_feed(), **look),
-        "needle_sender": Sender(outlet=link, feed=needle_feed(names), **look),
+        "needle_sender": Sender(outlet=link, feed=needle_feed(), **look),
         "pose_sender": Sender(outlet=link, feed=pose_feed(DEFAULT_POSES), period=frames),
         "truth_sender": Sender(outlet=link, feed=truth_feed(), period=frames),
     }

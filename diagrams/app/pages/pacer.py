@@ -19,14 +19,9 @@ class Pacer:
     """
 
     def __init__(
-        self,
-        console: "Console",
-        *,
-        speed: float = 1.0,
-        keeps_speed: bool = False,
-        sleep: Callable[[float], None] = time.sleep,
+        self, console: "Console", *, speed: float = 1.0, keeps_speed: bool = False
     ) -> None:
-        self._console, self._sleep = console, sleep
+        self._console = console
         self._keeps_speed = keeps_speed
         self._real_time = RealTime()
         self._origin: tuple[float, float] | None = None
@@ -61,7 +56,7 @@ class Pacer:
                 break
             held = True
             self._console.say(paused=True, pace="")
-            self._sleep(_LOOK)
+            time.sleep(_LOOK)
         if held or controls.speed != self._speed:
             self._speed, held, self._origin = controls.speed, True, None
             self._real_time.start(now)
@@ -71,7 +66,7 @@ class Pacer:
             self._console.say(paused=False, pace=pace)
         if self._keeps_speed and self._speed > 0 and not self._paused:
             start, begun = self._origin = self._origin or (now, time.perf_counter())
-            self._sleep(max(0.0, (now - start) / self._speed - (time.perf_counter() - begun)))
+            time.sleep(max(0.0, (now - start) / self._speed - (time.perf_counter() - begun)))
         return held
 
 

@@ -1,8 +1,5 @@
 """The leaf that draws the needle, its estimate and the ultrasound slices in Meshcat."""
 
-from dataclasses import dataclass, field
-from typing import Annotated
-
 import numpy as np
 from pydrake.common.value import Value
 from pydrake.geometry import Meshcat
@@ -35,14 +32,7 @@ from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
 from sonoservo.systems.signals.planes import sample_sector, slice_planes
 from sonoservo.systems.signals.ports import declare_inputs, evaluate, evaluate_optional
-from sonoservo.systems.signals.requirements import (
-    Bounded,
-    NotNegative,
-    Point,
-    Positive,
-    at_least,
-    between,
-)
+from sonoservo.systems.signals.requirements import require
 from sonoservo.systems.signals.search_reason import SearchReason
 from sonoservo.systems.signals.sweep import SweepGeometry
 from sonoservo.systems.signals.volume import Volume
@@ -56,37 +46,15 @@ _SIGN = 0.35  # Largest width of the tracking mode and its reason, in m
 _BESIDE = 0.045
 
 
-@dataclass(kw_only=True)
-class WorldViewParameters(Bounded):
-    """Parameters of the world view.
-
-    Parameters
-    ----------
-    publish_period
-        Time between two pictures, in s.
-    pixel
-        Pixel size of the slices, in m.
-    film_frames
-        Maximum number of pairs of slices kept for a replay, about 15 KB each; 0 keeps none.
-    film_period
-        Minimum time between two kept pairs of slices, in s. It limits the size of the replay.
-    needle_length
-        Length of the whole needle, in m. The part that is not in the tissue is drawn outside it.
-    camera, camera_target
-        Initial position of the camera and the point at the centre of its view, in W, in m. By
-        default, probe and phantom fill the frame, and the needle is seen.
-    field_of_view_deg
-        Field of view of the camera, from the lower edge of the view to the upper one, in deg.
-    """
-
-    publish_period: Positive = 3 / 32
-    pixel: Positive = 1e-3
-    film_frames: Annotated[int, at_least(0)] = 0
-    film_period: NotNegative = 0.2
-    needle_length: Positive = 0.15
-    camera: Point = field(default_factory=lambda: [0.86, -0.54, 0.40])
-    camera_target: Point = field(default_factory=lambda: [0.46, -0.02, 0.22])
-    field_of_view_deg: Annotated[float, between(0, 180)] = 42.0
+_PERIOD = 3 / 32  # Time between two pictures, in s
+_PIXEL = 1e-3  # Pixel size of the slices, in m
+# Least time in s between two pairs of slices kept for a replay; it limits the size of the replay.
+_FILM_PERIOD = 0.2
+# Length of the whole needle in m; the part that is not in the tissue is drawn outside it.
+_NEEDLE_LENGTH = 0.15
+# Initial places of the camera and of the middle of its view, in W, in m, and the view's height in
+# deg: probe and phantom fill the frame, and the needle is seen.
+_CAMERA, _CAMERA_TARGET, _FIELD_OF_VIEW_DEG = (0.86, -0.54, 0.40), (0.46, -0.02, 0.22), 42.0
 
 
 class WorldView(LeafSystem):
@@ -128,20 +96,14 @@ class WorldView(LeafSystem):
         Meshcat to draw in.
     path
         Path of everything that is drawn; by default the layers are at the top of the scene.
-    parameters
-        Parameters of the view.
+    film_frames
+        Maximum number of pairs of slices kept for a replay, about 15 KB each; 0 keeps none.
     """
 
-    def __init__(
-        self,
-        *,
-        meshcat: Meshcat,
-        path: str = "",
-        parameters: WorldViewParameters | None = None,
-    ) -> None:
+    def __init__(self, *, meshcat: Meshcat, path: str = "", film_frames: int = 0) -> None:
         super().__init__()
-        self._meshcat, self._path = meshcat, path
-        self._parameters = parameters or WorldViewParameters()
+        require(film_frames >= 0, "film_frames", film_frames, "0 or more")
+        self._meshcat, self._path, self._film_frames = meshcat, path, film_frames
         self.DeclareAbstractInputPort("X_WP", Value(RigidTransform()))
         self.DeclareAbstractInputPort("X_WT", Value(RigidTransform()))
         declare_inputs(
@@ -153,28 +115,24 @@ class WorldView(LeafSystem):
         )
         self.DeclareVectorInputPort("contact_force", 1)
         self._start()
-        period = self._parameters.publish_period
-        declare_looks(self, self._publish, period=period, start=self._start)
+        declare_looks(self, self._publish, period=_PERIOD, start=self._start)
 
     def _start(self, context: Context | None = None) -> None:
-        meshcat, path, parameters = self._meshcat, self._path, self._parameters
+        meshcat, path = self._meshcat, self._path
         for layer in _LAYERS:
             meshcat.Delete(f"{path}/{layer}")
-        set_scene(
-            meshcat, parameters.camera, parameters.camera_target, parameters.field_of_view_deg
-        )
+        set_scene(meshcat, _CAMERA, _CAMERA_TARGET, _FIELD_OF_VIEW_DEG)
         self._film = Film(
-            meshcat=meshcat, path=f"{path}/slices",
-            frames=parameters.film_frames, period=parameters.film_period,
-        )  # fmt: skip
-        R = facing(parameters.camera, parameters.camera_target)
+            meshcat=meshcat, path=f"{path}/slices", frames=self._film_frames, period=_FILM_PERIOD
+        )
+        R = facing(_CAMERA, _CAMERA_TARGET)
         self._phase = Label(meshcat=meshcat, path=f"{path}/phase", height=0.03, width=_SIGN)
         self._reason = Label(meshcat=meshcat, path=f"{path}/phase/reason", height=0.03, width=_SIGN)
         meshcat.SetTransform(f"{path}/phase/reason", RigidTransform([0.0, 0.04, 0.0]))
         # Low in the view and before all it shows, where a narrow page has room for it, too.
-        away = 0.8 * float(np.linalg.norm(np.subtract(parameters.camera_target, parameters.camera)))
-        low = 0.65 * away * np.tan(0.5 * np.deg2rad(parameters.field_of_view_deg))
-        p_WPhase = parameters.camera + R @ [0.0, low, away]
+        away = 0.8 * float(np.linalg.norm(np.subtract(_CAMERA_TARGET, _CAMERA)))
+        low = 0.65 * away * np.tan(0.5 * np.deg2rad(_FIELD_OF_VIEW_DEG))
+        p_WPhase = _CAMERA + R @ [0.0, low, away]
         meshcat.SetTransform(f"{path}/phase", RigidTransform(R, p_WPhase))
         # The live page has it beside the view.
         meshcat.SetProperty(f"{path}/phase", "visible", False)
@@ -199,7 +157,7 @@ class WorldView(LeafSystem):
             if self._needle is None:
                 self._needle = NeedleView(
                     meshcat=self._meshcat, path=f"{self._path}/needle",
-                    length=self._parameters.needle_length, radius=needle.radius,
+                    length=_NEEDLE_LENGTH, radius=needle.radius,
                 )  # fmt: skip
             self._needle.draw(needle, X_WT, time)
         force = evaluate_optional(self, context, "contact_force", np.ndarray)
@@ -250,12 +208,11 @@ class WorldView(LeafSystem):
             mesh = tubes(sector_edges(geometry), 5e-4)
             self._meshcat.SetObject(f"{self._path}/sector", mesh, rgba(SECTOR))
             self._sector = geometry
-        if not self._parameters.film_frames and not self._meshcat.GetNumActiveConnections():
+        if not self._film_frames and not self._meshcat.GetNumActiveConnections():
             return
         planes = slice_planes(volume, estimate.curve if estimate else None)
         if not planes:
             return
-        pixel, time = self._parameters.pixel, context.get_time()
-        pictures = [encode_webp(sample_sector(volume, plane, pixel)) for plane in planes]
+        pictures = [encode_webp(sample_sector(volume, plane, _PIXEL)) for plane in planes]
         in_world = [plane.transformed(volume.X_WP) for plane in planes]
-        self._film.show(gltf_textured_quads(in_world, pictures), time)
+        self._film.show(gltf_textured_quads(in_world, pictures), context.get_time())

@@ -142,10 +142,10 @@ def _scenario_text(story: Story) -> str:
     return "\n".join(parts)
 
 
-def changes_table(story: Story, heads: Sequence[str] = ("", "field", "default", "here")) -> str:
+def changes_table(story: Story) -> str:
     """Return the changed fields of a scenario as an HTML table."""
     rows = [(each.meaning, Code(each.path), each.before, each.after) for each in story.changes]
-    return Table(heads, rows).html()
+    return Table(["", "field", "default", "here"], rows).html()
 
 
 def _figures_text(

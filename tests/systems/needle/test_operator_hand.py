@@ -3,16 +3,15 @@ import pytest
 from pydrake.systems.analysis import Simulator
 
 from sonoservo.systems.needle.hand import (
+    SPEED,
+    TURNING_DEG,
     OperatorHand,
-    OperatorHandParameters,
     OperatorInsertion,
     appended,
     next_push,
 )
 from sonoservo.systems.needle.insertion import Insertion
 from sonoservo.systems.needle.insertion_parameters import InsertionParameters, Push
-
-PARAMETERS = OperatorHandParameters(period=1 / 16, speed=0.02, turning_deg=90)
 
 
 def make_insertion(pushes, **changes):
@@ -23,9 +22,7 @@ def make_insertion(pushes, **changes):
 
 def drive(targets, **changes):
     """Drive through (time, target) pairs; the insertion, and the needles seen on the way."""
-    hand = OperatorHand(
-        make_insertion=lambda pushes: make_insertion(pushes, **changes), parameters=PARAMETERS
-    )
+    hand = OperatorHand(make_insertion=lambda pushes: make_insertion(pushes, **changes))
     simulator = Simulator(hand)
     context = simulator.get_mutable_context()
     port = hand.GetInputPort("needle_target")
@@ -54,8 +51,8 @@ def test_it_goes_where_it_is_wanted_and_not_beyond():
     insertion, times, seen = drive([(0.0, [0.05, 1.0, 0, 0])])
     depths = np.array([needle.length for needle in seen])
     assert depths.max() < 0.05 + 5e-4  # tremor
-    assert np.diff(depths).max() * 60 < 0.02 + 0.02  # tremor moves it besides
-    assert depths[times > 3].mean() == pytest.approx(0.05, abs=5e-5)
+    assert np.diff(depths).max() * 60 < SPEED + 0.02  # tremor moves it besides
+    assert depths[times > 5].mean() == pytest.approx(0.05, abs=5e-5)
     assert sum(push.duration * push.turning_deg for push in insertion.parameters.pushes) == (
         pytest.approx(np.rad2deg(1.0))
     )
@@ -98,9 +95,9 @@ def test_a_straight_needle_is_aimed_anew_once_it_is_withdrawn_to_20_mm():
 @pytest.mark.parametrize("depth", [1e9, -1e9])
 def test_no_target_makes_it_faster_than_it_can(depth):
     driven = OperatorInsertion(make_insertion([]))
-    push = next_push(driven, np.array([depth, 1e9, 0, 0]), 0.0, PARAMETERS)
-    assert abs(push.speed) == 0.02
-    assert push.turning_deg == 90
+    push = next_push(driven, np.array([depth, 1e9, 0, 0]), 0.0)
+    assert abs(push.speed) == SPEED
+    assert push.turning_deg == TURNING_DEG
 
 
 def test_equal_pushes_become_one():

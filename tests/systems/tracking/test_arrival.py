@@ -8,7 +8,7 @@ from scipy.special import logsumexp
 
 from sonoservo.systems.tracking import arrival
 from sonoservo.systems.tracking.arrival import add_volume, advances, class_logs
-from sonoservo.systems.tracking.line_contrast import log_ratio, repeat_ratio
+from sonoservo.systems.tracking.line_contrast import Change, LineLevels, log_ratio, repeat_ratio
 
 SHOWS, RENEWED, PRIOR = 0.7, 0.03, 0.002
 
@@ -111,10 +111,10 @@ def test_a_bin_repeats_itself_or_is_drawn_anew():
     rng = np.random.default_rng(0)
     ratios, repeats = rng.normal(0.0, 1.5, 6), np.exp(rng.normal(0.0, 1.0, 6))
     repeats[0] = np.nan  # nothing was seen before
-    logs, seen = np.zeros((1, 6, 1)), np.ones((1, 1), bool)
+    logs = np.zeros((1, 6, 1))
     for t in range(6):
         here = np.array([[ratios[t]]]), np.array([[repeats[t]]])
-        add_volume(logs[:, : t + 1], *here, seen, RENEWED, SHOWS)
+        add_volume(logs[:, : t + 1], *here, RENEWED, SHOWS)
 
     def likelihood(arrived):
         """Sum over all histories: anew or the same, shown or hidden whenever drawn."""
@@ -139,7 +139,7 @@ def test_a_bin_repeats_itself_or_is_drawn_anew():
         expected = np.log(likelihood(arrived) / likelihood(6))
         assert logs[0, arrived, 0] == pytest.approx(expected)
     before = logs.copy()
-    add_volume(logs, np.array([[9.0]]), np.array([[1.0]]), ~seen, RENEWED, SHOWS)
+    add_volume(logs, np.array([[np.nan]]), np.array([[1.0]]), RENEWED, SHOWS)  # not seen
     np.testing.assert_array_equal(logs, before)
 
 
@@ -181,7 +181,6 @@ def test_a_kymograph_shows_what_a_line_is(kind):
     here, riding = kymograph(kind)
     times, bins = here.shape
     logs, image_logs = np.zeros((1, times + 1, bins)), np.zeros((1, 1, bins))
-    seen = np.ones((1, bins), bool)
     before = np.full((2, 1, bins), np.nan)
     renewed = 0.5 if kind in ("riding", "uncovered") else RENEWED  # the probe moves
     for t in range(times):
@@ -189,8 +188,8 @@ def test_a_kymograph_shows_what_a_line_is(kind):
         for rows, shown, last in zip(
             (logs[:, : t + 1], image_logs), (here[[t]], riding[[t]]), before, strict=True
         ):
-            repeats = repeat_ratio(shown, last)
-            add_volume(rows, log_ratio(shown), repeats, seen, renewed, SHOWS)
+            repeats = repeat_ratio(LineLevels(shown, shown), last, Change(renewed, 1.5))
+            add_volume(rows, log_ratio(shown), repeats, renewed, SHOWS)
             last[:] = shown
     appearing = np.log(np.full(times, PRIOR))
     appearing[0] = -50.0

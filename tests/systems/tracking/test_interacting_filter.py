@@ -8,9 +8,9 @@ from pydrake.math import RigidTransform, RollPitchYaw
 
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
-from sonoservo.systems.tracking.innovation_gate import gate_distance, innovation_distance
 from sonoservo.systems.tracking.interacting_filter import InteractingFilter
 from sonoservo.systems.tracking.needle_filter import FILTERS
+from sonoservo.systems.tracking.track_lifecycle import gate_distance, innovation_distance
 
 FILTER = InteractingFilter()
 R = np.diag([1.0, 0.1, 0.1, 0.5, 0.1, 0.1]) ** 2 * 1e-6
@@ -82,7 +82,7 @@ def test_a_hand_that_stops_is_noticed():
 def test_a_needle_at_rest_is_steady_and_one_that_starts_advances():
     even = [measurement(k) for k in range(20)]
     rested = follow(even)
-    assert rested.weights.reshape(3, 3).sum(axis=1)[0] > 0.8
+    assert rested.weights.reshape(4, 3).sum(axis=1)[0] > 0.8
     assert rested.weights[1::3].sum() > 0.8
     started = [*even, measurement(20, 0.033), measurement(21, 0.036)]
     assert follow(started).weights[::3].sum() > 0.8
@@ -149,6 +149,18 @@ def test_an_end_that_stops_where_needles_fade_may_hide_the_rest():
     # A hand stops before long, so what is not seen does not grow for ever.
     later = FILTER.predict(fading, fading.time + 10 * FILTER.unseen_time)
     assert later.curve.tip[0] - fading.curve.tip[0] < 8e-3 * FILTER.unseen_time
+
+
+def test_a_needle_that_jerks_is_followed():
+    """A hand takes it back by 20 mm in two volumes; each says that its old place is not likely."""
+    tips = [*[0.05] * 12, 0.04, 0.03, 0.03]
+    images = [
+        dataclasses.replace(
+            measurement(k, tip), tip_seen=1.0, elsewhere=np.array([[1e-4, 0.05 - tip, 3e-3]])
+        )
+        for k, tip in enumerate(tips)
+    ]
+    assert follow(images).curve.tip[0] == pytest.approx(tips[-1], abs=1e-3)
 
 
 def test_no_tip_lies_before_the_end_that_is_seen():

@@ -102,22 +102,6 @@ def test_the_same_volumes_give_the_same_bits():
         np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
 
 
-def test_what_was_not_read_is_looked_up_later():
-    """While a needle is tracked nobody looks; then the volumes that were kept count, too."""
-    images = volumes(False, False)
-    belief = LineBelief()
-    for each in images[:-1]:
-        belief = belief.unread_after(each)
-    assert belief.time == images[-2].time
-    assert not belief.hypotheses
-    sure = []
-    for start in (belief, LineBelief()):
-        lines = follow(start, images[-1]).hypotheses
-        wire = along(lines, *WIRE)
-        sure.append(lines.classes[wire, LINE_CLASSES.index("resting")].max())
-    assert sure[0] > sure[1]
-
-
 def test_before_any_volume_there_are_no_lines():
     assert LineBelief().time == -np.inf
     assert len(LineBelief().lines) == 0
@@ -149,5 +133,5 @@ def test_leaf_follows_only_while_nothing_is_tracked():
     assert lines().reason == "a needle is being tracked"
     leaf.ExecuteForcedEvents(context)
     belief = leaf.GetOutputPort("belief").Eval(context)
-    assert [each.time for each in belief.unread] == [v.time for v in volumes(False, False)[:3]]
-    assert len(belief.lines) == 0
+    assert belief.time == volumes(False, False)[2].time
+    assert len(belief.lines) == len(belief.memory) == 0

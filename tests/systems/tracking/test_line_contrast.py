@@ -8,12 +8,15 @@ from scipy.stats import norm
 from sonoservo.systems.signals.volume import Volume
 from sonoservo.systems.tracking.cells import cells_of
 from sonoservo.systems.tracking.line_contrast import (
+    ALL_NEW,
     BIN,
     BINS,
     MIDDLES,
+    LineLevels,
     across,
     best_stretches,
-    line_contrasts,
+    change_between,
+    line_levels,
     log_ratio,
     stretches,
 )
@@ -50,8 +53,10 @@ def volume(kind, seed=None, k=K, at=MIDDLE):
 )
 def test_a_line_is_brighter_than_what_lies_beside_it(kind, inside):
     """A fifth of the core lies on the line, and the rest 0.6 mm beside it."""
-    contrasts, seen = line_contrasts(volume(kind), MIDDLE[np.newaxis], K[np.newaxis])
-    assert contrasts.shape == seen.shape == (1, BINS)
+    levels, contrasts = line_levels(volume(kind), MIDDLE[np.newaxis], K[np.newaxis])
+    assert contrasts.shape == levels.shape == (1, BINS)
+    seen = ~np.isnan(contrasts)
+    np.testing.assert_array_equal(np.isnan(levels), ~seen)
     on_line = np.abs(MIDDLES) < HALF - 2 * BIN
     assert seen[0, on_line].all()
     np.testing.assert_allclose(contrasts[0, on_line], inside, atol=1.2)
@@ -91,11 +96,31 @@ def test_the_best_stretch_has_the_largest_sum():
 
 def test_what_is_not_seen_is_weak_evidence_against_a_line():
     contrasts = np.full((1, 12), 6.0, np.float32)
-    seen = np.ones((1, 12), bool)
-    seen[0, 5:7] = False
-    firsts, lasts, sums = stretches(contrasts, seen)
+    contrasts[0, 5:7] = np.nan
+    firsts, lasts, sums = stretches(contrasts)
     assert (firsts[0], lasts[0]) == (0, 11)
     assert sums[0] == pytest.approx(10 * log_ratio(6.0) - 1.0)
+
+
+@pytest.mark.parametrize(("renewed", "deviation"), [(0.01, 1.0), (0.1, 2.0), (0.4, 1.5)])
+def test_how_contrasts_change_is_measured_from_them(renewed, deviation):
+    rng = np.random.default_rng(4)
+
+    def drawn(count):
+        """Half of them are shown by lines, half by nothing."""
+        return np.where(
+            rng.random(count) < 0.5, rng.normal(4.6, 3.0, count), rng.normal(-1.2, 1.8, count)
+        )
+
+    before = drawn(4000)
+    now = before + rng.normal(0.0, deviation, 4000)
+    now = np.where(rng.random(4000) < renewed, drawn(4000), now)
+    before[:100] = now[50:150] = np.nan
+    found = change_between(LineLevels(now, now), before)
+    assert found.renewed == pytest.approx(renewed, abs=0.01 + 0.15 * renewed)
+    assert found.deviation == pytest.approx(deviation, rel=0.08)
+    assert change_between(LineLevels(now, now), np.full(4000, np.nan)) == ALL_NEW
+    assert change_between(LineLevels(now, now), now).deviation < 0.1
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -59,7 +59,12 @@ def with_motion(needle_filter, motion):
     """The filter with one motion model, and errors that do not repeat themselves."""
     if isinstance(needle_filter, InteractingFilter):
         return InteractingFilter(
-            steady=motion, unsteady=motion, carried=motion, constant=0.0, repeated=0.0
+            steady=motion,
+            unsteady=motion,
+            carried=motion,
+            jerked=motion,
+            constant=0.0,
+            repeated=0.0,
         )
     needle_filter.motion = motion
     return needle_filter
@@ -143,7 +148,7 @@ def test_tip_agrees_with_a_kalman_filter_on_the_tip_alone(case):
     )
     if isinstance(needle_filter, InteractingFilter):
         # Its end advances, as it did for ever.
-        state = replace(state, weights=np.eye(9)[0])
+        state = replace(state, weights=np.eye(12)[0])
         needle_filter = replace(needle_filter, lasting=1e12)
     tip = np.r_[3 * order - 3 : 3 * order, 6 * order - 3 : 6 * order]
     x = np.concatenate([state.curve.tip, np.zeros(3)])

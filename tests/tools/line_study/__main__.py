@@ -7,6 +7,7 @@ from unittest import mock
 
 import numpy as np
 
+from sonoservo.systems.signals.line_hypotheses import LINE_CLASSES
 from sonoservo.systems.signals.volume import acquired_from
 from sonoservo.systems.tracking import line_belief
 from sonoservo.systems.tracking.line_belief import LineBelief, follow
@@ -21,6 +22,9 @@ ASIDE, ANGLE_DEG, BEYOND = 3e-3, 10.0, 8e-3
 ACT, CONSPICUOUS = 0.95, 10e-3
 """Probability at which a needle is believed, and length in m from which on it is conspicuous."""
 
+AGE = 4
+"""Number of volumes after which it is known whether a new line had appeared at once."""
+
 BINS = (0.0, 0.05, 0.2, 0.5, 0.8, 0.9, 0.95, 0.99, 1.0)
 """Borders of the stated probabilities that are compared with how often a line is a needle."""
 
@@ -34,6 +38,8 @@ class Row:
     place of the first such fit, ``followed`` the share in which a line that is followed does, and
     ``believed`` that in which such a line is believed. ``found_s`` counts from the first visible
     volume. ``false`` lines are believed and lie along no needle.
+    ``appear`` is how often a new line appeared at once, by volume, relative to how often a bin is
+    drawn anew, before the needle is seen.
     """
 
     kind: str
@@ -47,6 +53,7 @@ class Row:
     believed: float = np.nan
     found_s: float = np.nan
     false: int = 0
+    appear: float = np.nan
 
 
 def is_needle(ends, needle, aside=ASIDE, angle_deg=ANGLE_DEG):
@@ -71,7 +78,7 @@ def study(kind, seed, recording, *, given=False, say=None):
     """
     row, belief = Row(kind, seed, len(recording.volumes)), LineBelief()
     shares, ranks, false, stated = [], [], set(), []
-    begun = np.inf
+    begun, born, appeared, renewed = np.inf, {}, [], []
     for volume, needle, length in zip(
         recording.volumes, recording.needles, recording.conspicuous, strict=True
     ):
@@ -85,6 +92,12 @@ def study(kind, seed, recording, *, given=False, say=None):
         with mock.patch.object(line_belief, "fitted_lines", fitted):
             belief = follow(belief, volume)
         lines = belief.hypotheses
+        if length == 0:
+            renewed.append(belief.memory[-1].change.renewed)
+            for number, classes in zip(lines.numbers, lines.classes, strict=True):
+                if len(renewed) - born.setdefault(number, len(renewed)) == AGE:
+                    share = classes[LINE_CLASSES.index("appeared")]
+                    appeared.append(share / (len(belief.memory) - 1))
         ends = acquired_from(volume, lines.ends.reshape(-1, 3)).reshape(-1, 2, 3)
         right, sure = is_needle(ends, needle), lines.probabilities > ACT
         for n in np.flatnonzero(sure & ~right):
@@ -124,6 +137,8 @@ def study(kind, seed, recording, *, given=False, say=None):
                     f"classes {np.round(lines.classes[best], 2)}, looks {lines.looks[best]:.1f}"
                 )
             )
+    if appeared:
+        row.appear = np.mean(appeared) / np.median(renewed)
     row.visible, row.false = len(shares), len(false)
     if shares:
         row.near, row.fitted, row.followed, row.believed = np.mean(shares, axis=0)

@@ -12,7 +12,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 
 from sonoservo.systems.display.world.parts import facing
-from sonoservo.systems.display.world.world_view import WorldView, WorldViewParameters
+from sonoservo.systems.display.world.world_view import WorldView
 from sonoservo.systems.evaluation.reports.report import save_replay
 from sonoservo.systems.signals.guard_status import GuardState, GuardStatus
 from sonoservo.systems.signals.immutable import NotFound
@@ -60,9 +60,7 @@ def scale(meshcat, path):
 
 
 def test_the_needle_is_where_it_is(meshcat):
-    view = WorldView(
-        meshcat=meshcat, path="truth", parameters=WorldViewParameters(needle_length=0.1)
-    )
+    view = WorldView(meshcat=meshcat, path="truth")
     publish(view, 0.0, RigidTransform(), needle=OUTSIDE)
     assert not visible(meshcat, "truth/needle/inside")
     assert not visible(meshcat, "truth/needle/tip")
@@ -78,13 +76,13 @@ def test_the_needle_is_where_it_is(meshcat):
     for number in range(1, 6):
         assert scale(meshcat, f"truth/needle/inside/{number}/unit") < 1e-5
     outside = transform(meshcat, "truth/needle/outside/0")
-    np.testing.assert_allclose(outside[:3, 3], X_WT.multiply([-0.02, 0, -0.04]), atol=1e-12)
+    np.testing.assert_allclose(outside[:3, 3], X_WT.multiply([-0.045, 0, -0.04]), atol=1e-12)
     waiting = Needle(np.zeros((0, 3)), 6e-4, [[-0.01, 0, -0.04], [0.5, 0, -0.04]])
     publish(view, 2.0, RigidTransform(), needle=waiting)
     assert not visible(meshcat, "truth/needle/inside")
     outside = transform(meshcat, "truth/needle/outside/0")
-    np.testing.assert_allclose(outside[:3, 3], X_WT.multiply([-0.06, 0, -0.04]), atol=1e-12)
-    assert scale(meshcat, "truth/needle/outside/0/unit") == pytest.approx(0.1)
+    np.testing.assert_allclose(outside[:3, 3], X_WT.multiply([-0.085, 0, -0.04]), atol=1e-12)
+    assert scale(meshcat, "truth/needle/outside/0/unit") == pytest.approx(0.15)
     publish(view, 3.0, RigidTransform(), needle=OUTSIDE)
     assert not visible(meshcat, "truth/needle/outside")
 
@@ -161,7 +159,7 @@ def test_the_ellipsoid_at_the_tip_is_the_tip_s_covariance(meshcat, make_volume):
 
 def test_slices_wait_for_the_tracker(meshcat, make_volume):
     volume = make_volume(grey, time=0.5)
-    view = WorldView(meshcat=meshcat, path="waiting", parameters=WorldViewParameters(film_frames=9))
+    view = WorldView(meshcat=meshcat, path="waiting", film_frames=9)
     publish(view, 0.7, volume.X_WP, volume=volume, estimate=searching())
     assert not meshcat.HasPath("/drake/waiting/slices/live")
     assert visible(meshcat, "waiting/phase/waiting for the first volume")
@@ -229,11 +227,10 @@ class Volumes(LeafSystem):
         state.get_mutable_abstract_state(0).set_value(self._make(grey, time=context.get_time()))
 
 
-def simulate(meshcat, make_volume, **parameters):
+def simulate(meshcat, make_volume, film_frames):
     builder = DiagramBuilder()
     source = builder.AddSystem(Volumes(make_volume))
-    parameters = WorldViewParameters(publish_period=1 / 16, **parameters)
-    view = builder.AddSystem(WorldView(meshcat=meshcat, path="all", parameters=parameters))
+    view = builder.AddSystem(WorldView(meshcat=meshcat, path="all", film_frames=film_frames))
     for name in ("volume", "X_WP", "X_WT", "needle"):
         builder.Connect(source.GetOutputPort(name), view.GetInputPort(name))
     return Simulator(builder.Build())
@@ -247,19 +244,11 @@ def shown(animation, path):
     return [value == b"\xc3" for value in re.findall(b"value([\xc2\xc3])", clip)]
 
 
-@pytest.mark.parametrize(
-    ("parameters", "kept"),
-    [
-        ({"film_frames": 100}, 7),
-        ({"film_frames": 3}, 3),
-        ({"film_frames": 100, "film_period": 0.5}, 4),
-        ({}, 0),
-    ],
-)
-def test_a_replay_keeps_its_film(tmp_path, make_volume, parameters, kept):
+@pytest.mark.parametrize(("frames", "kept"), [(100, 5), (3, 3), (0, 0)])
+def test_a_replay_keeps_its_film(tmp_path, make_volume, frames, kept):
     meshcat = Meshcat()
     meshcat.StartRecording()
-    simulator = simulate(meshcat, make_volume, **parameters)
+    simulator = simulate(meshcat, make_volume, frames)
     simulator.AdvanceTo(1.9)
     names = [meshcat.HasPath(f"/drake/all/slices/{number}") for number in range(8)]
     assert names == [number < kept for number in range(8)]
