@@ -5,6 +5,7 @@ A `NeedleFilter` models the needle's motion and its correction in between.
 
 import math
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from pydrake.math import RigidTransform
 from scipy.special import expit
 
+from sonoservo.systems.signals.confidence import squared_distance
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.insertion_detection import InsertionDetection
 from sonoservo.systems.signals.line_hypotheses import LINE_CLASSES, LineHypotheses
@@ -21,7 +23,6 @@ from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
 from sonoservo.systems.signals.needle_prediction import NeedlePrediction
 from sonoservo.systems.signals.search_reason import SearchReason
 from sonoservo.systems.signals.velocity_measurement import VelocityMeasurement
-from sonoservo.systems.tracking.innovation_gate import gate_distance, innovation_distance
 from sonoservo.systems.tracking.needle_filter import NeedleFilter, NeedleState, require_order
 from sonoservo.systems.tracking.search_region import found_again
 from sonoservo.systems.tracking.track import SUREST, Track
@@ -235,3 +236,20 @@ def _bayes(probability: float, ratio: float) -> float:
     """Return a probability after evidence with a likelihood ratio."""
     odds = ratio * probability / max(1 - probability, 1e-12)
     return min(odds / (1 + odds), SUREST) if math.isfinite(odds) else SUREST
+
+
+def innovation_distance(state: NeedleState, measurement: NeedleMeasurement) -> float:
+    """Return the Mahalanobis distance of a measurement from a state predicted to its time.
+
+    It is that of the nearest of the places where the tip may be.
+    """
+    points = state.curve.control_points.ravel()
+    P = state.covariance[: len(points), : len(points)]
+    away = [(z - points, P + R) for _, z, R in measurement.places]
+    return float(np.sqrt(min(y @ np.linalg.solve(S, y) for y, S in away)))
+
+
+@lru_cache
+def gate_distance(gate: float, order: int) -> float:
+    """Return the Mahalanobis distance that a true measurement exceeds with probability 1 - gate."""
+    return float(np.sqrt(squared_distance(gate, 3 * order)))

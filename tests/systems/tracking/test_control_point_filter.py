@@ -9,8 +9,8 @@ from scipy.linalg import expm
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
 from sonoservo.systems.tracking.control_point_filter import ControlPointFilter
-from sonoservo.systems.tracking.innovation_gate import innovation_distance
 from sonoservo.systems.tracking.needle_motion import NeedleMotionParameters, constant_velocity
+from sonoservo.systems.tracking.track_lifecycle import innovation_distance
 
 FILTER = ControlPointFilter()
 R = np.diag([1, 0.2, 0.3, 0.5, 0.2, 0.4]) * 1e-6

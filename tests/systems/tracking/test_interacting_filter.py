@@ -8,9 +8,9 @@ from pydrake.math import RigidTransform, RollPitchYaw
 
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
-from sonoservo.systems.tracking.innovation_gate import gate_distance, innovation_distance
 from sonoservo.systems.tracking.interacting_filter import InteractingFilter
 from sonoservo.systems.tracking.needle_filter import FILTERS
+from sonoservo.systems.tracking.track_lifecycle import gate_distance, innovation_distance
 
 FILTER = InteractingFilter()
 R = np.diag([1.0, 0.1, 0.1, 0.5, 0.1, 0.1]) ** 2 * 1e-6

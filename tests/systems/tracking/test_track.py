@@ -14,9 +14,8 @@ from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
 from sonoservo.systems.signals.search_reason import SearchReason
 from sonoservo.systems.signals.velocity_measurement import VelocityMeasurement
 from sonoservo.systems.tracking.control_point_filter import ControlPointFilter
-from sonoservo.systems.tracking.innovation_gate import gate_distance
 from sonoservo.systems.tracking.track import Track
-from sonoservo.systems.tracking.track_lifecycle import TrackLifecycle
+from sonoservo.systems.tracking.track_lifecycle import TrackLifecycle, gate_distance
 from sonoservo.systems.tracking.track_parameters import TrackParameters
 
 STILL = RigidTransform()
