@@ -35,7 +35,6 @@ _PUBLISHED_TRACKER = {
     "position": "match",
     "min_correlation": 0.0,
     "follow_shape_from": 10e-3,
-    "template": [3e-3, 3e-3],
 }
 """Search for cross-sections as printed in Carriere 2016, section II."""
 
@@ -153,10 +152,11 @@ class ShapePredictionScenario(Scenario):
     def as_published(cls, data: Mapping[str, Any]) -> dict[str, Any]:
         """Return data with the printed tracker, guided by the printed particle filter.
 
-        Where the paper is silent: matches are interpolated between pixels, none is refused, and the
-        template is 3 mm wide and high.
+        Where the paper is silent: matches are interpolated between pixels, and none is refused.
         """
-        tracker = {**_PUBLISHED_TRACKER, **data.get("tracker", {})}
+        printed = data.get("published", {})
+        template = {"template": printed["template"]} if "template" in printed else {}
+        tracker = {**_PUBLISHED_TRACKER, **template, **data.get("tracker", {})}
         return {**data, "estimator": "published", "tracker": tracker}
 
     def __post_init__(self) -> None:

@@ -48,10 +48,11 @@ NOTES = (
     "0.5 mm along each axis.",
     "Not published: the full depth (here 140 mm in beef, 60 mm in the patient), gamma (0.05 for "
     "slices every 0.5 mm, 0.4 for every 5 mm, which is as much for each millimetre), the "
-    "template's size (3 x 3 mm) and the direction of u. Gamma was chosen for the printed filter's "
-    "own errors, on needles of seeds from 100 on, among the values of the sweep; phi is found from "
-    "all points so far. The filter as printed is given the bevel's "
-    f"direction to within {BEVEL_MARK_DEG:.0f} deg; the other estimators are not.",
+    "template's size (6 x 6 mm in beef, 3 x 3 mm in the patient) and the direction of u. Gamma and "
+    "the template were chosen for the published method's own errors, on needles of seeds from 100 "
+    "on, among the values of the sweeps; phi is found from all points so far. The filter as "
+    f"printed is given the bevel's direction to within {BEVEL_MARK_DEG:.0f} deg; the other "
+    "estimators are not.",
     "'Filter as printed' is the printed filter on the cross-sections that our search found, and on "
     "cross-sections without any error: what is left then is the filter's own error.",
     "'Wander learnt' is our particle filter with a prior of the curvature's wander that ten whole "
