@@ -228,12 +228,13 @@ class InteractingFilter:
         if dt <= 0:
             return state
         left, jerks = 1 - math.exp(-dt / self.lasting), 1 - math.exp(-dt / self.calm)
+        # From a motion to another, by column; a jerk begins from any of the others, and rarely.
         switch = (1 - 1.5 * left) * np.eye(4) + 0.5 * left
-        switch[:, 3], switch[3] = left / 3, jerks
         switch[:3, :3] *= 1 - jerks
+        switch[:, 3], switch[3] = left / 3, jerks
         switch[3, 3] = 1 - left
-        switch = np.kron(switch, np.eye(3))
-        weights, x, P = _mixed(switch * state.weights, state.means, state.covariances)
+        ways = np.kron(switch, np.eye(3))
+        weights, x, P = _mixed(ways * state.weights, state.means, state.covariances)
         size, curve = state.means.shape[1] // 3, state.curve
         moving, count = slice(2 * size), len(weights)
         A = np.stack([np.eye(3 * size + 2)] * count)

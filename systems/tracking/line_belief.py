@@ -208,10 +208,11 @@ def _new_lines(ends: Floats, ends_P: Floats, numbers: Floats, times: int) -> Lin
 
     points, directions, length = line(ends)
     image_points, image_directions, _ = line(ends_P)
+    image_levels, levels, contrasts = np.full((3, n, BINS), np.nan, np.float32)
     return Lines(
         points, directions, 0.5 * length * [-1.0, 1.0], image_points, image_directions,
         np.zeros((n, times, BINS)), np.zeros((n, BINS), np.float32), np.zeros((n, 1, BINS)),
-        *np.full((3, n, BINS), np.nan, np.float32),
+        image_levels, levels, contrasts,
         np.zeros(n), np.zeros(n), np.zeros(n), numbers, np.zeros((n, 1 + len(LINE_CLASSES))),
         np.zeros((n, 5)), np.zeros((n, _REMEMBERED, 5)),
     )  # fmt: skip
