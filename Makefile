@@ -33,7 +33,7 @@ $(VENV)/.installed.%: pyproject.toml setup.py
 	@touch $@
 
 $(VENV)/.compiled: pyproject.toml setup.py | $(VENV)/.installed.$(EXTRAS)
-	@$(BIN)/sonoservo compile
+	@$(BIN)/sonoservo compile $(if $(filter dev,$(EXTRAS)),--all)
 	@touch $@
 
 compile: $(VENV)/.compiled

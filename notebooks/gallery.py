@@ -179,7 +179,7 @@ def contrast_db(kind, tilt_deg, places=8):
     )
     X = np.repeat(PROBE.GetAsMatrix4()[np.newaxis], 3, axis=0)
     tissue, powers = renderer.tissue_echo(X, 1)[1], []
-    for half in 0.015 + 1.1e-3 * np.arange(places if tilt_deg else 1):
+    for half in 0.015 + 1.1e-3 * np.arange(places):
         ends = np.outer([-half, half], [np.cos(tilt), 0, -np.sin(tilt)]) - [0, 0, 0.055]
         held = Needle(ends, OUTER_DIAMETER[needle.gauge] / 2)
         echo = np.abs(renderer.echo(X, [held] * 3, 1)[1] - tissue)

@@ -1,5 +1,7 @@
 """Settings of the test session."""
 
+import signal
+
 from hypothesis import settings
 
 import sonoservo.systems  # noqa: F401  (one thread for PyMUST's matrices, too)
@@ -7,6 +9,11 @@ import sonoservo.systems  # noqa: F401  (one thread for PyMUST's matrices, too)
 # The first example may have to wait for a kernel to be compiled.
 settings.register_profile("compiled", deadline=None)
 settings.load_profile("compiled")
+
+# Started in the background, a suite ignores these, and so would the programs that it interrupts.
+for number in (signal.SIGINT, signal.SIGHUP):
+    if signal.getsignal(number) is signal.SIG_IGN:
+        signal.signal(number, lambda number, frame: None)
 
 
 def pytest_terminal_summary(terminalreporter):

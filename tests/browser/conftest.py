@@ -67,6 +67,7 @@ def open_page(browser, request):
     marker = request.node.get_closest_marker("viewport")
     width, height = marker.args if marker else (1000, 700)
     context = browser.new_context(viewport={"width": width, "height": height})
+    context.set_default_timeout(60_000)  # in ms; a busy machine draws slowly
     complaints = []
 
     def listen(page):

@@ -54,7 +54,7 @@ class FakeOutlet:
         self.sent.append((topic, list(items)))
 
 
-def wait_until(condition: Callable[[], object], seconds: float = 20.0) -> None:
+def wait_until(condition: Callable[[], object], seconds: float = 60.0) -> None:
     """Wait for something that another thread or program does."""
     end = time.monotonic() + seconds
     while not condition():

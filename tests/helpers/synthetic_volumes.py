@@ -1,7 +1,7 @@
 """Volumes with a needle, made without the scanner: a closed-form blurred line in speckle."""
 
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from pydrake.math import RigidTransform
@@ -47,12 +47,18 @@ def speckle(seed, spacing=0.75e-3):
 
 
 def line(p, a, b, amplitude, sigma=0.85e-3):
-    """Amplitude of a blurred line from a to b; half of the line's own where it ends."""
+    """Amplitude of a blurred line from a to b on a grid; half of the line's own where it ends."""
     k = (b - a) / np.linalg.norm(b - a)
-    s = (p - a) @ k
-    d2 = np.sum((p - a) ** 2, axis=-1) - s**2
+    reach = 6 * sigma  # beyond it, less than a 10^7th is left
+    axes = p[:, 0, 0, 0], p[0, :, 0, 1], p[0, 0, :, 2]
+    limits = np.transpose([np.minimum(a, b) - reach, np.maximum(a, b) + reach])
+    near = tuple(slice(*np.searchsorted(*each)) for each in zip(axes, limits, strict=True))
+    s = (p[near] - a) @ k
+    d2 = np.sum((p[near] - a) ** 2, axis=-1) - s**2
     ends = ndtr(s / sigma) - ndtr((s - np.linalg.norm(b - a)) / sigma)
-    return amplitude(s) * np.exp(-d2 / (2 * sigma**2)) * ends
+    whole = np.zeros(p.shape[:-1])
+    whole[near] = amplitude(s) * np.exp(-d2 / (2 * sigma**2)) * ends
+    return whole
 
 
 @dataclass
@@ -65,6 +71,17 @@ class Scene:
     spacing: float = 0.75e-3
     level_db: float = 14.0
 
+    @cached_property
+    def _tissue(self):
+        """Complex amplitude of all that never moves."""
+        amplitude, p_P = speckle(self.seed, self.spacing).copy(), grid(self.spacing)[2]
+        for centre, radius in self.balls:
+            near = np.linalg.norm(p_P - centre, axis=-1)
+            amplitude += 30 * np.exp(-(np.maximum(near - radius, 0) ** 2) / (2 * (0.8e-3) ** 2))
+        for a, b in self.rods:
+            amplitude += line(p_P, np.array(a), np.array(b), lambda s: 30.0)
+        return amplitude
+
     def volume(self, number, needle=None, X_WP=None, period=0.303, noise=0.02):
         """One volume. The needle is a function of time that returns its ends in W, or None."""
         low, spacing, p_P, inside = grid(self.spacing)
@@ -74,13 +91,8 @@ class Scene:
         times = period * number + direction * GEOMETRY.frame_period * (frames - 12)
         poses = np.repeat(X_WP.GetAsMatrix4()[np.newaxis], GEOMETRY.frames, axis=0)
         motion = SweepMotion(GEOMETRY, direction, times, poses)
-        amplitude = speckle(self.seed, self.spacing).copy()
+        amplitude = self._tissue.copy()
         rng = np.random.default_rng([self.seed, number])
-        for centre, radius in self.balls:
-            near = np.linalg.norm(p_P - centre, axis=-1)
-            amplitude += 30 * np.exp(-(np.maximum(near - radius, 0) ** 2) / (2 * (0.8e-3) ** 2))
-        for a, b in self.rods:
-            amplitude += line(p_P, np.array(a), np.array(b), lambda s: 30.0)
         ends = needle and needle_as_acquired(needle, motion, X_WP)
         if ends:
             a, b = ends

@@ -1,12 +1,42 @@
-"""Each notebook is a script and the same cells with their outputs; nbmake runs them."""
+"""Each notebook is a script and the same cells with their outputs; all run here in a short form."""
 
+import gc
 from pathlib import Path
 
 import jupytext
+import matplotlib.pyplot
 import pytest
+from IPython.core.interactiveshell import InteractiveShell
+from traitlets.config import Config
 
 NOTEBOOKS = Path(__file__).parents[2] / "notebooks"
 SCRIPTS = sorted(NOTEBOOKS.glob("[1-9]*.py"))
+
+
+QUICK = " ".join(
+    [
+        "duration=4.8",
+        "hand.start=0.2",
+        "hand.pushes.0.speed=0.02",
+        "station.probe.height=0.004",
+        "station.plant.contact_model=point",
+    ]
+)
+
+
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.stem)
+def test_every_cell_runs_and_shows_what_it_ends_with(script, monkeypatch, capsys):
+    """In this process: a kernel for each would load everything anew."""
+    monkeypatch.setenv("SONOSERVO_QUICK", QUICK)
+    monkeypatch.chdir(NOTEBOOKS)
+    matplotlib.pyplot.switch_backend("Agg")
+    shell = InteractiveShell(config=Config(HistoryManager={"enabled": False}))
+    cells = [cell.source for cell in jupytext.read(script).cells if cell.cell_type == "code"]
+    for source in cells:
+        shell.run_cell(source.replace("%matplotlib inline", "")).raise_error()
+    matplotlib.pyplot.close("all")
+    shell.reset()
+    gc.collect()  # Drake aborts where a Meshcat ends on another thread than its own
 
 
 def test_there_are_eight():

@@ -125,7 +125,13 @@ def test_a_run_that_cannot_go_on_says_why_and_ends_with_status_3(tmp_path):
 
 def test_a_short_run_leaves_its_files_and_its_summary(tmp_path):
     out = tmp_path / "out"
-    changes = ["duration=2.5", "controller.force.force=4", "station.probe.height=0.004", *COARSE]
+    changes = [
+        "duration=2.5",
+        "controller.force.force=4",
+        "station.probe.height=0.004",
+        "imaging.sector=0.4",
+    ]
+    changes += COARSE
     result = sonoservo(
         "run", "chatelain2013_fig5", "--no-meshcat", "--replay", "--movie", str(tmp_path / "a.gif"),
         "--out", str(out), "--json", str(tmp_path / "summary.json"),

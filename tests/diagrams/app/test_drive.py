@@ -21,6 +21,8 @@ from sonoservo.systems.evaluation.run_log import RunLog
 CHEAP = [
     "station.plant.contact_model=point",
     "station.probe.height=0.004",
+    "imaging.sector=0.4",
+    "imaging.frames=9",
 ]
 
 

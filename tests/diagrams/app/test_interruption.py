@@ -42,7 +42,7 @@ except KeyboardInterrupt:
 def interrupted(setting, act):
     """Run a program in which ``act`` is interrupted."""
     code = _INTERRUPTED.format(setting=setting, act=act)
-    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=20)
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
 
 
 _FINALIZED = """
@@ -84,7 +84,7 @@ def test_every_signal_ends_the_program_even_if_it_hangs(number, how):
     )
     assert process.stdout.readline() == b"ready\n"
     process.send_signal(number)
-    _, said = process.communicate(timeout=20)
+    _, said = process.communicate(timeout=60)
     assert process.returncode == 128 + number
     assert (b"left out" in said) == (how == "hang")
 
@@ -94,7 +94,7 @@ def test_what_nohup_ignores_stays_ignored():
     process = subprocess.Popen([sys.executable, "-c", code, "end"], stdout=subprocess.PIPE)
     process.stdout.readline()
     process.send_signal(signal.SIGHUP)
-    assert process.wait(timeout=20) == 0
+    assert process.wait(timeout=60) == 0
 
 
 def test_a_run_that_is_ended_leaves_its_summary(tmp_path):

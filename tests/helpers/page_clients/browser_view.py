@@ -41,7 +41,7 @@ def wait_for_object(page, path):
     )
 
 
-def eventually(page, check, patience=30.0):
+def eventually(page, check, patience=60.0):
     """Return what a check returns once it holds; how soon depends on the machine alone."""
     end = time.monotonic() + patience
     while True:

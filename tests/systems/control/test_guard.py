@@ -15,12 +15,12 @@ STEP = 0.005
 ARM = assemble_arm()
 HOME = ARM.home
 N = len(HOME)
+SCRATCH = ARM.plant.CreateDefaultContext()
 
 
 def pose(q):
-    context = ARM.plant.CreateDefaultContext()
-    ARM.plant.SetPositions(context, q)
-    return ARM.probe.body_frame().CalcPoseInWorld(context)
+    ARM.plant.SetPositions(SCRATCH, q)
+    return ARM.probe.body_frame().CalcPoseInWorld(SCRATCH)
 
 
 class Rig:
@@ -55,10 +55,9 @@ class Rig:
         sample[4] += self.pressing
         self.sample = self.sample if self.silent else sample
         force = self.pressing if self.felt_by_arm is None else self.felt_by_arm
-        scratch, W = ARM.plant.CreateDefaultContext(), ARM.plant.world_frame()
-        ARM.plant.SetPositions(scratch, self.q)
+        W = ARM.plant.world_frame()
         J = ARM.plant.CalcJacobianSpatialVelocity(
-            scratch, JacobianWrtVariable.kV, ARM.frame, np.zeros(3), W, ARM.frame
+            SCRATCH, JacobianWrtVariable.kV, ARM.frame, np.zeros(3), W, ARM.frame
         )
         X = self.frozen or RigidTransform(X.rotation(), X.translation() + 1e-9 * np.sin(1e3 * time))
         values = {

