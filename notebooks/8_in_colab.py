@@ -16,14 +16,14 @@ if WHEEL and importlib.util.find_spec("sonoservo") is None:
     subprocess.run([sys.executable, "-m", "pip", "install", "--quiet", WHEEL], check=True)
 
 # %% [markdown]
-# Ten seconds of fig. 5 of Chatelain, Krupa and Marchal (ICRA 2013): the probe presses, and a needle
-# comes in. The first run compiles the numeric kernels, which takes about a minute.
+# Sixteen seconds of fig. 5 of Chatelain, Krupa and Marchal (ICRA 2013): the probe presses, and a
+# needle comes in and is found. The first run compiles the numeric kernels, about a minute.
 
 # %%
 # %matplotlib inline
 from sonoservo.diagrams import run
 
-changes = os.environ.get("SONOSERVO_QUICK", "duration=10").split()
+changes = os.environ.get("SONOSERVO_QUICK", "duration=16").split()
 result = run("chatelain2013_fig5", changes=changes, progress=False)
 result
 
