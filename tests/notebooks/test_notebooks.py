@@ -1,6 +1,7 @@
 """Each notebook is a script and the same cells with their outputs; all run here in a short form."""
 
 import gc
+import sys
 from pathlib import Path
 
 import jupytext
@@ -30,6 +31,8 @@ def test_every_cell_runs_and_shows_what_it_ends_with(script, monkeypatch, capsys
     monkeypatch.setenv("SONOSERVO_QUICK", QUICK)
     monkeypatch.chdir(NOTEBOOKS)
     matplotlib.pyplot.switch_backend("Agg")
+    # The shell puts a module of its own in place of the main one.
+    monkeypatch.setitem(sys.modules, "__main__", sys.modules["__main__"])
     shell = InteractiveShell(config=Config(HistoryManager={"enabled": False}))
     cells = [cell.source for cell in jupytext.read(script).cells if cell.cell_type == "code"]
     for source in cells:
