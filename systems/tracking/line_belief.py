@@ -96,7 +96,7 @@ class Remembered(Immutable):
         (3,) displacement at the volume's time in m, and its rate of change in m/s: a sweep takes
         long enough for breath to go on.
     change, image_change
-        How the contrasts of lines changed since the volume before, at places in the tissue and in
+        How the levels along lines changed since the volume before, at places in the tissue and in
         the image.
     """
 
