@@ -7,6 +7,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from enum import StrEnum
 from importlib.metadata import version
+from importlib.resources import files
 from pathlib import Path
 from typing import Any, Literal
 
@@ -211,6 +212,12 @@ class Study:
             "wall_s": sum(each.wall_s for each in self.outcomes),
             "notes": list(self.notes),
         }
+
+
+def read_notes(package: str, **figures: Any) -> list[str]:
+    """Return the paragraphs of a study's ``notes.md``, in which its figures stand by name."""
+    text = (files(package) / "notes.md").read_text(encoding="utf-8").format(**figures)
+    return [" ".join(paragraph.split()) for paragraph in text.split("\n\n")]
 
 
 def write_study(folder: Path, study: Study, command: str) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Report of the reproduction of Carriere 2016: rows with targets, figures and notes."""
+"""Report of the reproduction of Carriere 2016: rows with targets, and figures."""
 
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -20,7 +20,7 @@ from sonoservo.diagrams.papers.carriere2016.protocols import PROTOCOLS, SETS, SW
 from sonoservo.diagrams.papers.carriere2016.runs import AS_PUBLISHED, BEVEL_MARK_DEG, EXACT, TAUGHT
 from sonoservo.diagrams.studies.run_group import Value
 from sonoservo.diagrams.studies.study import Outcome
-from sonoservo.diagrams.studies.study_report import Study, StudyFigure, StudyRow
+from sonoservo.diagrams.studies.study_report import Study, StudyFigure, StudyRow, read_notes
 from sonoservo.systems.evaluation.intervals import proportion_interval, run_interval
 
 NAMES = {
@@ -29,46 +29,6 @@ NAMES = {
     "least_squares": "least squares, constant curvature",
     AS_PUBLISHED: "as published",
 }
-
-NOTES = (
-    "Errors are means over needles. 'Estimated' errors are against the measured path, as in the "
-    "paper; 'true' errors are against the simulated needle. The tip error is |u - u^| at the last "
-    "slice. The shape error is the integral of |u - u^| over depth (eq. 8), with u in the plane of "
-    "largest deflection. Every prediction counts, whether or not the needle was followed to the "
-    "end. A needle without a prediction has the row's worst error. A tip that was not found has no "
-    "measured error; a row gives the share of these.",
-    "The published method is that of the paper as a whole: the click is the first position, eq. 1 "
-    "shows dark pixels like bright ones, the best match with the last template is the position, "
-    "and the printed particle filter guides the region of interest. It sees the same slices and "
-    "the same click as ours.",
-    "The needles have R uniform between 0.8 and 2.4 m, theta_0 uniform within 2 deg, and any "
-    "plane. All estimators assume R normal (1.5, 0.6 m) and theta_0 normal (0, 5 deg), as "
-    "published. The tissue shifts by 0.1 mm (standard deviation) from slice to slice, in addition "
-    "to the effects of speckle and fibres. A person's click on the first cross-section scatters by "
-    "0.5 mm along each axis.",
-    "Not published: the full depth (here 140 mm in beef, 60 mm in the patient), gamma (0.05 for "
-    "slices every 0.5 mm, 0.4 for every 5 mm, which is as much for each millimetre), the "
-    "template's size (6 x 6 mm in beef, 3 x 3 mm in the patient) and the direction of u. Gamma and "
-    "the template were chosen for the published method's own errors, on needles of seeds from 100 "
-    "on, among the values of the sweeps; phi is found from all points so far. The filter as "
-    f"printed is given the bevel's direction to within {BEVEL_MARK_DEG:.0f} deg; the other "
-    "estimators are not.",
-    "'Filter as printed' is the printed filter on the cross-sections that our search found, and on "
-    "cross-sections without any error: what is left then is the filter's own error.",
-    "'Wander learnt' is our particle filter with a prior of the curvature's wander that ten whole "
-    "needles in the same tissue taught it. Up to a rotation at 60 mm, the slices of one needle "
-    "hardly show how much its curvature wanders, so without the ten needles the stated uncertainty "
-    "rests on the default, 10 %.",
-    "The bound is the Bayesian Cramer-Rao bound of the tip's root mean square error, with the "
-    "information at the true path and the median scatter of the measured path. It knows the "
-    "wander's amplitude. The departures from the model other than the wander are not in it.",
-    "Departures from the model are on the first set's needles, and only the slices that the "
-    "estimators use are made.",
-    "Elastic needle: a beam on an elastic foundation that also cuts sideways, behind a template, "
-    "with R uniform between 0.3 and 2.4 m. No estimator is derived from it, and the shaft moves "
-    "after it was seen (BeamPath). The bound, which is the bicycle's, is left out.",
-    "Computing time is the processor time of one thread.",
-)
 
 
 def report(outcomes: Sequence[Outcome], pictured: bool = False) -> Study:
@@ -84,7 +44,7 @@ def report(outcomes: Sequence[Outcome], pictured: bool = False) -> Study:
         outcomes=outcomes,
         figures=_figures(outcomes) if pictured else (),
         compute_ms=_compute(outcomes),
-        notes=NOTES,
+        notes=read_notes("sonoservo.diagrams.papers.carriere2016", bevel_mark_deg=BEVEL_MARK_DEG),
     )
 
 

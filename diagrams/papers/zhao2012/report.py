@@ -13,7 +13,7 @@ from sonoservo.diagrams.papers.zhao2012.runs import ESTIMATORS, QUANTITIES
 from sonoservo.diagrams.papers.zhao2012.speed_report import loop_rows, speed_errors, speed_rows
 from sonoservo.diagrams.studies.run_group import Value, pooled, quantile_of
 from sonoservo.diagrams.studies.study import Outcome
-from sonoservo.diagrams.studies.study_report import Study, StudyRow
+from sonoservo.diagrams.studies.study_report import Study, StudyRow, read_notes
 from sonoservo.systems.evaluation.intervals import run_interval
 
 TITLE = (
@@ -30,58 +30,6 @@ NAMES = {
     "kalman_velocity": "RANSAC + Kalman + velocity",
 }
 """Name of each estimator."""
-
-NOTES = (
-    "'RANSAC' is the published one. Among the brightest voxels of the whole volume, it finds the "
-    "line through two of them with the most others nearby, optimizes it on those, and places the "
-    "tip where the intensity along the line falls. Its best sample alone is shown too. 'Published "
-    "RANSAC + Kalman + velocity' adds the published filter, whose first two volumes are RANSAC's, "
-    "and the speckle's velocity with the published search region around the known tip. 'Our "
-    "RANSAC' is the one in our tracker: it searches near the prediction and refits three times. "
-    "Our Kalman filter uses it, and its search for the speckle is centred on the prediction.",
-    "Our RANSAC's tip lies 0.04 mm too far along the needle and scatters by 0.08 mm. On seeds 100 "
-    "to 102, our filter takes 34 % off the tip's error, and adds 17 % to that of beta. As the "
-    "needle's own scatterers move with it, beta errs alike from volume to volume: by up to 0.6 deg "
-    "in the mean of a run, with a correlation of 0.4 to 0.7. The filter takes these errors for "
-    "independent ones (stated 0.55 deg while the needle is short, true 0.83 deg), and keeps the "
-    "first ones.",
-    "Fresh speckle: each run has a phantom of its own. Same volumes: all runs share one phantom "
-    "and differ only in RANSAC's draws, as probably in the paper. A needle at rest is shown 5 "
-    "times, unchanged.",
-    "The scatterers have the published density of 10/mm3, 1.75 in a resolution cell at the focus. "
-    "The density alone leaves the speckle undeveloped: the mean square of its intensity is 2.6 "
-    "times the squared mean, and 2 for developed speckle. The amplitudes are equal; amplitudes "
-    "with the published K distribution would raise it to 3.3. The lines have noise 40 dB below the "
-    "tissue, which the paper does not mention.",
-    "Errors count from the third volume on; before, the paper's filter returns RANSAC's result. A "
-    "reduction compares the means, over lengths or volumes, of the root mean square over runs. "
-    "Where an estimator found nothing, and in a failed run, it has the worst error of the others.",
-    "Commanded: eq. 1's input B u, with u the change of the scripted speed, is given to the "
-    "published filter; otherwise u is zero, as for a hand. The speed is judged inside the tracker, "
-    "beside the difference of RANSAC's tips and the filter without velocimeter; no window is "
-    "placed with the truth.",
-    "The paper does not say how many volumes a second there are. Here, 0.3 s pass between them, so "
-    "that its search for the speckle, which reaches 0.42 mm along the needle, holds a needle of "
-    "1 mm/s. The sense of the needle's axis comes from the side on which it enters.",
-    "The paper does not publish the noise of the filter, the thresholds, the definition of the "
-    "angles or the position of the needle. Here, alpha is the azimuth from the array towards "
-    "elevation, and beta the angle from the depth. Thresholding keeps 60 mm3 of voxels; the sweep "
-    "shows what that decides. The published filter's R is (0.5 mm)^2 for the tip and the rear end "
-    "and (2 mm/s)^2 for the velocity, its Q the same in every direction (published_tracking). The "
-    "velocimeters compare envelopes of whole lines in the published windows; a match at the border "
-    "of a search does not count.",
-    "Loop: fig. 5 of Chatelain 2013 with its steel needle, at 3.3 MHz; this paper has no figures "
-    "for it. Rows count as in the study of that paper: runs that lost the needle, or never found "
-    "it, enter with their true error. As published in the loop: RANSAC in every whole volume among "
-    "1000 mm3 of voxels with f_0 0.75 mm, the published filter in the probe's frame, and windows "
-    "of the published extents around the known tip. The paper is silent on how a needle is found "
-    "and moves no probe, so detection, end of a track and eq. 25 are those of Chatelain 2013 as "
-    "published (Zhao2012AsPublishedParameters).",
-    "Speed in the loop: after a first push at 9 mm/s, the speeds follow one another in one run. A "
-    "tracked volume counts from 1 s after a change on. Without velocimeter: our tracker after "
-    "Chatelain 2013 with the same filter, and with its own, on the same seeds.",
-)
-"""Paragraphs of the report."""
 
 
 TABLE_2 = {"static": (58, 68, 40, 40, 36, 40), "dynamic": (37, 36, 30, 24, 30, 30)}
@@ -184,7 +132,7 @@ def report(outcomes: Sequence[Outcome], logs: Path | None = None) -> Study:
                 "max": 1e3 * max(seconds) if seconds else None,
             }
         },
-        notes=NOTES,
+        notes=read_notes("sonoservo.diagrams.papers.zhao2012"),
     )
 
 

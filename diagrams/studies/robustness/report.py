@@ -2,8 +2,6 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from importlib.resources import files
-from pathlib import Path
 from typing import Any
 
 from sonoservo.diagrams.studies.robustness.analysis import Group, Threshold, chased, threshold
@@ -11,7 +9,7 @@ from sonoservo.diagrams.studies.robustness.plots import study_figures
 from sonoservo.diagrams.studies.robustness.runs import GRADED, OURS, PUBLISHED, TRACKERS
 from sonoservo.diagrams.studies.run_group import Value
 from sonoservo.diagrams.studies.study import Outcome
-from sonoservo.diagrams.studies.study_report import Study, StudyRow
+from sonoservo.diagrams.studies.study_report import Study, StudyRow, read_notes
 from sonoservo.systems.evaluation.success import (
     ENOUGH_MM,
     FOUND_DEG,
@@ -227,9 +225,8 @@ TITLE = "Robustness: one dial of the harder world at a time, and all of them in 
 
 def _notes() -> list[str]:
     """Return the paragraphs of the report."""
-    folder = Path(str(files("sonoservo.diagrams.studies.robustness")))
-    text = (folder / "notes.md").read_text(encoding="utf-8").format(
+    return read_notes(
+        "sonoservo.diagrams.studies.robustness",
         found_mm=FOUND_MM, found_deg=FOUND_DEG, kept=100 * KEPT, enough_mm=ENOUGH_MM,
         stands_out_db=STANDS_OUT_DB, success_mm=SUCCESS_MM, success_deg=SUCCESS_DEG,
     )  # fmt: skip
-    return [" ".join(paragraph.split()) for paragraph in text.split("\n\n")]
