@@ -32,10 +32,7 @@ _FORCE = 2.0  # contact force in N that the planned indentation stands for
 def make_volumes(
     options: BenchmarkOptions, formats: tuple[str, ...] = FORMATS, store: str | None = None
 ) -> list[Outcome]:
-    """Write the sequences, a manifest, checksums and README.md; a second call goes on.
-
-    `formats`: some of the `FORMATS`; `store`: folder or URL of fsspec that a cluster writes to.
-    """
+    """Write sequences, manifest, checksums and README.md; a second call goes on."""
     for each in formats:
         if each not in FORMATS:
             raise ConfigurationError(

@@ -150,10 +150,7 @@ class ShapePredictionScenario(Scenario):
 
     @classmethod
     def as_published(cls, data: Mapping[str, Any]) -> dict[str, Any]:
-        """Return data with the printed tracker, guided by the printed particle filter.
-
-        Where the paper is silent: matches are interpolated between pixels, and none is refused.
-        """
+        """Return data with the printed tracker, guided by the printed particle filter."""
         printed = data.get("published", {})
         template = {"template": printed["template"]} if "template" in printed else {}
         tracker = {**_PUBLISHED_TRACKER, **template, **data.get("tracker", {})}

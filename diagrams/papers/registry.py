@@ -31,10 +31,7 @@ def require_paper(paper: str) -> None:
 
 
 def reproduce(paper: str, options: "StudyOptions") -> "Study":
-    """Repeat the experiments of one of the `PAPERS` or `STUDIES`, and return the study.
-
-    Its package is imported on demand. Another name raises ConfigurationError.
-    """
+    """Repeat the experiments of one of the `PAPERS` or `STUDIES`, and return the study."""
     require_paper(paper)
     room = "papers" if paper in PAPERS else "studies"
     study: Study = import_module(f"sonoservo.diagrams.{room}.{paper}.reproduction").reproduce(

@@ -60,12 +60,7 @@ _MAIN_FIGURES = {
 
 
 def keep_results(studies: Sequence[Study], command: str) -> None:
-    """Keep the records of studies in their packages, and write the tables that are made of them.
-
-    `command` repeats the studies. ConfigurationError is raised if the program was not started from
-    a checkout, its code was not committed, or other code than the present one made a run. Failed
-    runs are part of the statistics.
-    """
+    """Keep the records of studies in their packages, and write the tables that are made of them."""
     if not (_ROOT / "pyproject.toml").is_file():
         raise ConfigurationError("--keep: results are kept in a checkout of the repository only")
     for each in studies:
@@ -77,11 +72,7 @@ def keep_results(studies: Sequence[Study], command: str) -> None:
 
 @cache
 def kept_results(paper: str) -> dict[str, Any] | None:
-    """Return a paper's kept results as in study.json, by the present definitions; None if none.
-
-    `outdated`: whether the code of the runs has changed since; figures without records are
-    outdated.
-    """
+    """Return a paper's kept results as in study.json, by the present definitions; None if none."""
     records = read_records(_folder(paper) / RECORDS)
     if records is not None:
         report = import_module(

@@ -153,10 +153,7 @@ def run_study(
     folder: str = "cases",
     logs: Path | None = None,
 ) -> list[Outcome]:
-    """Run the cases of a study that its options ask for; see `run_cases`.
-
-    ``folder`` is the name of the outcomes' folder, ``logs`` that of the files of results.
-    """
+    """Run the cases of a study that its options ask for; see `run_cases`."""
     chosen = [each for each in cases if each.experiment.startswith(options.only)]
     if not chosen:
         known = ", ".join(dict.fromkeys(each.experiment for each in cases))

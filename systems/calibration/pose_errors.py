@@ -45,11 +45,7 @@ class TissueDisplacement(Immutable):
 
 
 def displacement_between(first: Volume, second: Volume) -> TissueDisplacement:
-    """Measure how far tissue seems to have moved in W between two volumes that overlap there.
-
-    Blocks of the first volume are looked for in the second one. If tissue and poses are right, they
-    are found where they were.
-    """
+    """Measure how far tissue seems to have moved in W between two volumes that overlap there."""
     half, axes = _KERNEL // 2, first.X_WP.rotation().matrix()
     p_W = first.to_world(_centres(first))[0]
     p_W = p_W[_is_seen(first, p_W, axes, half) & _is_seen(second, p_W, axes, half + _REACH)]
@@ -166,11 +162,7 @@ class PoseEquations(Immutable):
 
 
 def probe_velocities(motion: SweepMotion, times: Floats) -> tuple[Floats, Floats]:
-    """Return (m, 3) angular and translational velocities of P in P, in rad/s and m/s, at times.
-
-    They are the derivatives of a polynomial through the poses of the frames; zero if all frames
-    have the same time.
-    """
+    """Return (m, 3) angular and translational velocities of P in P, in rad/s and m/s, at times."""
     if np.ptp(motion.times) == 0:
         return np.zeros((len(times), 3)), np.zeros((len(times), 3))
     middle = RigidTransform(motion.X_WP[len(motion.X_WP) // 2])

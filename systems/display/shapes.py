@@ -28,10 +28,8 @@ def segment_pose(start: ArrayLike, end: ArrayLike) -> tuple[RigidTransform, floa
 
 
 def sector_edges(geometry: SweepGeometry, points: int = 17) -> list[NDArray[np.float64]]:
-    """Return the edges of the swept sector as polylines in P, in m: four rays, eight arcs.
-
-    The motor's direction changes them by tenths of a degree, which is neglected.
-    """
+    """Return the edges of the swept sector as polylines in P, in m: four rays, eight arcs."""
+    # The motor's direction would change them by tenths of a degree.
     frames, lines, samples = (extent - 1 for extent in geometry.shape)
     k, j, i = (np.linspace(0, last, points) for last in (frames, lines, samples))
     edges = []

@@ -21,12 +21,7 @@ _DATA = "data:application/octet-stream;base64,"
 
 
 def gltf_textured_quads(planes: Sequence[Plane], pictures: Sequence[bytes]) -> str:
-    """Return rectangles with pictures (PNG or WebP) on them as one glTF 2.0 document.
-
-    Columns run along +X of a plane, rows along +Y. They are unlit and two-sided; pixels that are
-    less than half opaque are not drawn. The axes allow for Drake's Meshcat, which turns glTF's +Y
-    up.
-    """
+    """Return rectangles with pictures (PNG or WebP) on them as one glTF 2.0 document."""
     data = b""
     views: list[dict[str, Any]] = []
     accessors: list[dict[str, Any]] = []
@@ -51,6 +46,7 @@ def gltf_textured_quads(planes: Sequence[Plane], pictures: Sequence[bytes]) -> s
         p_S = np.zeros((3, 4))
         p_S[:2] = (corners - 0.5).T * [[plane.width], [plane.height]]
         x, y, z = plane.X_PS.multiply(p_S)
+        # Drake's Meshcat turns glTF's +Y up.
         position = store(np.stack([x, z, -y], axis=1).astype("<f4"), "VEC3", _FLOAT)
         places = {"POSITION": position, "TEXCOORD_0": texture}
         primitives.append({"attributes": places, "indices": triangles, "material": number})

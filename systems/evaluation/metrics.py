@@ -165,11 +165,7 @@ def judged_volumes(log: RunLog) -> Mask:
 
 
 def servo(log: RunLog) -> dict[str, Any]:
-    """Return the mean absolute errors of the visual features in P (Chatelain 2013, eq. 23).
-
-    Returns x_mm, z_mm, theta_deg and seconds `at_rest` (true needle, resting in W for 3 s
-    and tracked), `at_rest_estimated` (from the measured pose) and `moving`.
-    """
+    """Return the mean absolute errors of the visual features in P (Chatelain 2013, eq. 23)."""
     tracked = log.estimate_mode == TrackingMode.TRACKING
     moves = needle_speed(log, _REST_WINDOW) >= _REST_SPEED
     rest = at_rest(log)
@@ -189,11 +185,7 @@ def at_rest(log: RunLog) -> Mask:
 
 
 def force(log: RunLog, target: float | None = None) -> dict[str, Any]:
-    """Summarise the true contact force.
-
-    Returns `touched` (None without a force, or on the way to the body), `mean_n` and `rms_error_n`
-    from 2 s after the first contact on, `max_n` of all samples, `contact_lost_s`.
-    """
+    """Summarise the true contact force."""
     value = log.contact_force
     touching = value > _NO_FORCE
     if not touching.any():
@@ -307,10 +299,7 @@ _IN_VIEW = 5e-3
 
 
 def missing_needle(log: RunLog) -> tuple[str, str]:
-    """Return why the tracker found no needle, and what to change, each as a sentence or empty.
-
-    It is the most frequent reason while the needle could be seen, in truth, or in the whole run.
-    """
+    """Return why the tracker found no needle, and what to change, each as a sentence or empty."""
     reasons = volume_reasons(log)
     if not reasons:
         return "No volume was acquired.", _sentence(SearchReason.NO_VOLUME.run_advice)

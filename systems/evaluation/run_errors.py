@@ -91,11 +91,7 @@ def normalized_squared_errors(errors: Floats, covariances: Floats) -> Floats:
 
 
 def stated_errors(log: RunLog, *, across_depth: bool = False) -> Mapping[str, tuple[Floats, int]]:
-    """Return (v,) squared errors of tip, axis and velocity, relative to what is stated of them.
-
-    Each has its degrees of freedom. They are NaN where nothing is stated, and infinite for an axis
-    that points backwards. ``across_depth`` leaves out the errors along the depth.
-    """
+    """Return (v,) squared errors of tip, axis and velocity, relative to what is stated of them."""
     time = log.volume_estimate_time
     tip, before, after = (
         at_times(log, log.needle_tip, time + shift) for shift in (0, -_WINDOW / 2, _WINDOW / 2)

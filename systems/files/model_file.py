@@ -28,11 +28,7 @@ def read_once(read: Callable[[Path], T]) -> Callable[[Path], T]:
 
 
 def model_file(folder: str, name: str) -> Path:
-    """Return the path of a model by its name in a folder of our models, or of a user's file.
-
-    A user's file has a suffix. One that is not YAML, such as a label map, stands for the YAML file
-    of the same name beside it. A FileNotFoundError lists the models that ship.
-    """
+    """Return the path of a model by its name in a folder of our models, or of a user's file."""
     own = Path(name)
     if own.suffix and not own.is_file():
         raise FileNotFoundError(f"{folder.removesuffix('s')}: there is no file {name}")

@@ -103,11 +103,7 @@ _BLOCK = 1 << 26  # Bytes transposed at a time if a file has its list or colours
 
 
 def open_nrrd(path: Path, *, frames: bool = False) -> VolumeFile:
-    """Open an NRRD file with one volume, 2D frames, or a sequence along a list axis.
-
-    The first axis varies fastest, so a file with the list axis first is transposed once into a
-    temporary file. Raw and gzip data are read, in one file or several.
-    """
+    """Open an NRRD file with one volume, 2D frames, or a sequence along a list axis."""
     with refusing_failures(path, "its header is not valid NRRD"):
         header, names, offset = _read_header(path)
         return _Reader(path, header, names, offset, frames).describe()

@@ -60,10 +60,7 @@ def load_typed(schema: type[T], data: Mapping[str, Any], source: str) -> T:
 
 
 def dump_typed(value: Any) -> str:
-    """Return all fields of a dataclass as YAML that `load_typed` reads.
-
-    Fields may hold Drake's schema classes, such as `MultibodyPlantConfig`.
-    """
+    """Return all fields of a dataclass as YAML that `load_typed` reads."""
     return yaml.safe_dump(_plain(value), sort_keys=False)
 
 
@@ -87,11 +84,7 @@ def _fields(schema: Any) -> dict[str, Any]:
 
 
 def apply_changes(data: dict[str, Any], changes: Mapping[str, Any] | Sequence[str] | None) -> None:
-    """Change fields of a nested mapping: values by dotted path, or ``path.to.field=value``.
-
-    The values in texts are YAML. ConfigurationError if changes have another form, or a path leads
-    through a value without fields.
-    """
+    """Change fields of a nested mapping: values by dotted path, or ``path.to.field=value``."""
     if isinstance(changes, Mapping):
         for path, value in changes.items():
             _assign(data, str(path), to_plain(value, for_json=False))
@@ -113,10 +106,7 @@ def apply_changes(data: dict[str, Any], changes: Mapping[str, Any] | Sequence[st
 
 
 def _assign(data: dict[str, Any], path: str, value: Any) -> None:
-    """Set the value at a dotted path in a nested mapping.
-
-    A name on the path is equivalent to the mapping ``{kind: name}``; see `load_typed`.
-    """
+    """Set the value at a dotted path in a nested mapping."""
     *parents, last = path.split(".")
     if len(parents) >= MAX_DEPTH:
         raise ConfigurationError(f"{path}: a field is nested at most {MAX_DEPTH} deep")

@@ -147,11 +147,7 @@ def check_grid(
     *,
     square: bool = True,
 ) -> None:
-    """Refuse an implausible size, extent or position in mm of voxels or pixels, or askew axes.
-
-    The columns of the (3, n) directions are the steps along the axes. Unless they must be
-    ``square``, they may be a little askew, as a calibration of pixels is.
-    """
+    """Refuse an implausible size, extent or position in mm of voxels or pixels, or askew axes."""
     steps = np.linalg.norm(directions, axis=0)
     if not ((steps >= MIN_SPACING) & (steps <= MAX_SPACING)).all():
         raise ConfigurationError(
@@ -169,6 +165,7 @@ def check_grid(
             f"{path}: the origin {origin.tolist()} mm is out of range (+-{MAX_POSITION:g} mm)"
         )
     unit = directions / steps
+    # A calibration of pixels may be a little askew.
     if np.abs(unit.T @ unit - np.eye(len(steps))).max() > (1e-3 if square else 0.2):
         raise ConfigurationError(f"{path}: the directions of its axes are not at right angles")
 
@@ -284,11 +281,7 @@ def open_data(
     compressed: bool = False,
     skip: int = 0,
 ) -> DataSections:
-    """Open so many bytes of data that files share evenly.
-
-    ``first`` returns the offset of a file's data from its path and their size; ``skip`` counts
-    uncompressed bytes before them.
-    """
+    """Open so many bytes of data that files share evenly."""
     each = size // max(len(files), 1)
     if each * len(files) != size or not files:
         raise ConfigurationError(
@@ -340,10 +333,7 @@ def decode_header(data: bytes) -> str:
 
 
 def data_files(path: Path, field_name: str, source: str, names: Sequence[str]) -> list[Path]:
-    """Return the data files that a header names: by a name, a pattern, or a LIST of ``names``.
-
-    A pattern is followed by its first and last number, and perhaps the step.
-    """
+    """Return the data files that a header names: by a name, a pattern, or a LIST of ``names``."""
     words = source.split()
     if words[:1] == ["LIST"]:
         return [_existing_file(path, field_name, each) for each in names]

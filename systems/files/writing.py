@@ -116,10 +116,7 @@ def to_json(data: Any) -> str:
 
 
 def to_plain(data: Any, *, for_json: bool = True) -> Any:
-    """Return data with NumPy's values as Python's own.
-
-    For JSON, keys are texts, and numbers that are not finite become None.
-    """
+    """Return data with NumPy's values as Python's own."""
     if isinstance(data, Mapping):
         return {
             str(key) if for_json else key: to_plain(value, for_json=for_json)
@@ -136,11 +133,7 @@ def to_plain(data: Any, *, for_json: bool = True) -> Any:
 
 @contextmanager
 def claim_folder(folder: Path | None) -> Iterator[None]:
-    """Keep every other process that claims a folder from writing into it; None claims nothing.
-
-    The folder is made, and a killed writer's partial files removed. The operating system ends the
-    claim with the process. On a file system without locks, nothing is claimed.
-    """
+    """Keep every other process that claims a folder from writing into it; None claims nothing."""
     if folder is None:
         yield
         return

@@ -125,10 +125,7 @@ def slice_items(volume: Volume, curve: NeedleCurve | None = None) -> list[Item]:
 
 
 def frame_items(sweep: Sweep, name: str = FRAME) -> list[Item]:
-    """Return a sweep's frames in order of time, as (samples, lines, 1) images, each after its pose.
-
-    A sector is no grid: the matrix tells the distance between samples; lines count as 1 mm apart.
-    """
+    """Return a sweep's frames in order of time, as images of one layer, each after its pose."""
     X_LI = np.diag([sweep.geometry.sample_pitch, 1e-3, 1e-3, 1.0])
     items: list[Item] = []
     for number in np.argsort(sweep.motion.times):

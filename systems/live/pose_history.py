@@ -13,10 +13,7 @@ _JUMP = 1.0
 
 
 class PoseHistory:
-    """Poses with their times, bridged by interpolation over at most ``max_gap`` s.
-
-    At most ``tolerance`` s before the first or after the last pose, that pose is still taken.
-    """
+    """Poses with their times, bridged by interpolation over at most ``max_gap`` s."""
 
     def __init__(self, *, max_gap: float = 0.5, tolerance: float = 0.05) -> None:
         self._max_gap, self._tolerance = max_gap, tolerance

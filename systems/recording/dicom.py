@@ -18,11 +18,7 @@ _VOLUMES = "1.2.840.10008.5.1.4.1.1.6.2"  # Enhanced US Volume Storage
 
 
 def open_dicom(path: Path, *, frames: bool = False) -> VolumeFile:
-    """Open a DICOM file of 2D ultrasound frames, with their poses in ``NAME.csv`` beside it.
-
-    The frames are cut to the region of 2D tissue, whose scale is the size of the pixels. Times
-    follow from the frame times or the cine rate.
-    """
+    """Open a DICOM file of 2D ultrasound frames, with their poses in ``NAME.csv`` beside it."""
     pydicom = require_extra("pydicom", "dicom", path)
     pixels = require_extra("pydicom.pixels", "dicom", path)
     with refusing_failures(path, "it is no DICOM file"):

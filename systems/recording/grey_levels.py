@@ -171,10 +171,7 @@ def shows_something(voxels: NDArray[Any]) -> bool:
 
 
 def window_of_first(volumes: Iterable[NDArray[Any]], enough: int) -> tuple[GreyWindow, int]:
-    """Choose the window from the first ``enough`` volumes that show something.
-
-    Returns it, and the number of volumes before the last of these that show nothing.
-    """
+    """Choose the window from the first ``enough`` volumes that show something."""
     chosen: list[NDArray[Any]] = []
     blank = 0
     for voxels in volumes:

@@ -71,10 +71,7 @@ FIELDS = {
 
 
 def open_meta_image(path: Path, *, frames: bool = False) -> VolumeFile:
-    """Open a MetaImage file with one volume, or with a sequence of them along a fourth axis.
-
-    PLUS also stores tracked 2D frames in such files, one after the other along the third axis.
-    """
+    """Open a MetaImage file with one volume, or with a sequence of them along a fourth axis."""
     with refusing_failures(path, "its header is not valid"):
         return _describe(path, *_read_header(path), frames)
 

@@ -19,11 +19,7 @@ from sonoservo.systems.files.volume_file import (
 
 
 def open_nifti(path: Path, *, frames: bool = False) -> VolumeFile:
-    """Open a NIfTI file with one volume, or with a sequence of them along its fourth axis.
-
-    Its coordinates, RAS, become LPS in mm. Times follow from the fourth spacing if its unit is one
-    of time.
-    """
+    """Open a NIfTI file with one volume, or with a sequence of them along its fourth axis."""
     import nibabel  # late, as it takes a while
 
     with refusing_failures(path, "it is no NIfTI file"):

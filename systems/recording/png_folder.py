@@ -17,12 +17,7 @@ TABLE = "poses.csv"
 
 
 def open_png_folder(path: Path, *, frames: bool = False) -> VolumeFile:
-    """Open a folder of PNG images, in the order of their names, with a table (`read_pose_table`).
-
-    Numbers in names count as such: image 9 comes before image 10.
-
-    Columns of pixels run across, rows away from the probe; the calibration tells their size.
-    """
+    """Open a folder of PNG images in the order of their names, 9 before 10, with a pose table."""
     image = require_extra("PIL.Image", "images", path)
     files = [each for each in path.iterdir() if each.suffix.lower() == ".png"]
     files.sort(

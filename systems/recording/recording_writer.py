@@ -92,17 +92,7 @@ def _header(volume: Volume) -> dict[str, str]:
 
 
 class SweepWriter:
-    """Writes sweeps as acquired, one by one, to ``NAME.sweeps.seq.nrrd``.
-
-    The axes are sample, line, frame and list. The first three have spacings (in mm, deg and deg)
-    but no directions in space, because a sector is not a grid. The geometry is in the acquisition
-    file of the volumes.
-
-    Parameters
-    ----------
-    path
-        Path of the recording of volumes that the sweeps belong to.
-    """
+    """Writes the sweeps of a recording, by the path of its volumes, to ``NAME.sweeps.seq.nrrd``."""
 
     def __init__(self, path: Path) -> None:
         self.path = path.with_name(path.name.removesuffix(SUFFIX) + ".sweeps" + SUFFIX)
@@ -113,6 +103,7 @@ class SweepWriter:
         geometry = sweep.geometry
         if self._sweeps is None:
             angles = np.degrees([geometry.line_pitch, geometry.frame_pitch])
+            # Spacings, but no directions in space: a sector is no grid.
             header = {
                 "spacings": f"{1e3 * geometry.sample_pitch!r} {angles[0]} {angles[1]} nan",
                 "kinds": "domain domain domain list",

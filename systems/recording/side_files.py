@@ -194,19 +194,7 @@ def _motion(geometry: SweepGeometry | None, line: dict[str, Any]) -> SweepMotion
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """Ground truth of a simulated recording; no tracker reads it.
-
-    Parameters
-    ----------
-    times
-        (n,) times of the samples, in s.
-    needles
-        Part of the needle inside the tissue at each time, in W.
-    contact_force
-        (n,) contact force, in N.
-    poses
-        Pose X_WP of the probe at each time; None in older files.
-    """
+    """Ground truth of a simulated recording: samples at (n,) times in s; no tracker reads it."""
 
     times: NDArray[np.float64]
     needles: list[Needle]

@@ -16,11 +16,7 @@ _CALIBRATION = "calib_matrix.csv"
 
 
 def open_tus_rec(path: Path, *, frames: bool = False) -> VolumeFile:
-    """Open a scan: ``frames`` (n, rows, columns) and ``tforms`` (n, 4, 4), from tool to tracker.
-
-    ``tforms`` may stand in a file of the same name in the folder ``transfs`` beside ``frames``. The
-    calibration is that of the nearest ``calib_matrix.csv`` in the folders above.
-    """
+    """Open a scan: ``frames`` (n, rows, columns) and ``tforms`` (n, 4, 4), from tool to tracker."""
     h5py = require_extra("h5py", "hdf5", path)
     with refusing_failures(path, "it is no scan of TUS-REC"):
         file = h5py.File(path, "r")

@@ -51,11 +51,7 @@ def choose_items(
     times: NDArray[np.float64],
     what: str = "volume",
 ) -> ValidItems:
-    """Return the volumes or frames that are not marked as invalid, and have a pose and a time.
-
-    An odd item costs itself: one without a pose or time, or with a time that breaks the order, is
-    left out; of times out of order, the fewest are.
-    """
+    """Return the volumes or frames that are not marked as invalid, and have a pose and a time."""
     left_out: dict[str, list[int]] = {}
     matrices, numbers = [], []
     names = [link.name for link in chain.links] if chain else []

@@ -21,12 +21,7 @@ _EXTENT = ("xmin", "xmax", "ymin", "ymax", "zmax", "zmin")
 
 
 def open_zea(path: Path, *, frames: bool = False) -> VolumeFile:
-    """Open the log-compressed images of a file of zea: ``data/image_sc`` or ``data/image``.
-
-    A map has ``pixels`` (n, x, z, y), or (n, x, z) for 2D frames, and the ``extent`` of their
-    centres in m. X, z and y become L, P and S. Times and poses are read where `ZeaWriter` wrote
-    them.
-    """
+    """Open the log-compressed images of a file of zea: ``data/image_sc`` or ``data/image``."""
     h5py = require_extra("h5py", "hdf5", path)
     with refusing_failures(path, "it is no file of zea"):
         file = h5py.File(path, "r")

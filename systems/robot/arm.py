@@ -28,15 +28,7 @@ from sonoservo.systems.signals.requirements import Bounded, NotNegative, Positiv
 
 @dataclass(kw_only=True)
 class JointServo(Bounded):
-    """Gains of the joint servos, in the order of the joints.
-
-    Parameters
-    ----------
-    p
-        Stiffnesses in N m/rad.
-    d
-        Dampings in N m s/rad.
-    """
+    """Gains of the joint servos in their order: stiffnesses in N m/rad, dampings in N m s/rad."""
 
     p: list[Positive] = field(default_factory=list)
     d: list[NotNegative] = field(default_factory=list)
@@ -76,11 +68,7 @@ class Arm(Bounded):
 
 @dataclass(frozen=True)
 class ArmWithProbe:
-    """Arm and its probe in a plant.
-
-    `wrist` is the weld between flange and probe, whose reaction the wrist force sensor measures;
-    `frame` is P as calibrated.
-    """
+    """Arm, probe, the weld between them that the wrist sensor measures, and P as calibrated."""
 
     plant: MultibodyPlant
     model_instance: ModelInstanceIndex

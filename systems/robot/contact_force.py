@@ -13,10 +13,7 @@ from sonoservo.systems.signals.ports import evaluate
 def normal_force(
     contact: ContactResults, X_WT: RigidTransform, surface: BodySurface | None = None
 ) -> float:
-    """Return the force in N that presses the phantom's top inwards, summed over all contacts.
-
-    It is taken along the normal of `surface` at the contact; the top is level by default.
-    """
+    """Return the force in N that presses the phantom's top inwards, summed over all contacts."""
     total = np.zeros(3)
     normal = X_WT.rotation().matrix()[:, 2]
     place = None

@@ -30,11 +30,7 @@ _WANTED = {
 def resolve_files(
     directives: list[ModelDirective], path: Path, packages: dict[str, str] | None = None
 ) -> None:
-    """Check directives from a YAML file, and make their relative names absolute, in place.
-
-    `packages` are folders relative to the YAML file. ConfigurationError if a field, a file or a
-    folder is missing.
-    """
+    """Check directives from a YAML file, and make their relative names absolute, in place."""
     packages = {} if packages is None else packages
     for name, folder in packages.items():
         packages[name] = str((path.parent / folder).absolute())
@@ -64,10 +60,7 @@ def add_directives(
     directives: list[ModelDirective],
     packages: Mapping[str, str] | None = None,
 ) -> None:
-    """Add the models that directives describe to a plant; they may name files in packages.
-
-    ValueError if Drake rejects a directive.
-    """
+    """Add the models that directives describe to a plant; they may name files in packages."""
     parser = Parser(plant)
     parser.package_map().AddPackageXml(str(model_path("package.xml")))
     for name, folder in (packages or {}).items():

@@ -130,10 +130,8 @@ def AddPhantom(
 def set_friction(
     plant: MultibodyPlant, scene_graph: SceneGraph, probe: RigidBody, friction: float
 ) -> None:
-    """Set the friction of a probe's face to that of the phantom it is to touch.
-
-    Drake combines two coefficients to 2 a b / (a + b), so that equal ones hold for the pair.
-    """
+    """Set the friction of a probe's face to that of the phantom it is to touch."""
+    # Drake combines two coefficients to 2 a b / (a + b), so equal ones hold for the pair.
     for geometry in plant.GetCollisionGeometriesForBody(probe):
         found = scene_graph.model_inspector().GetProximityProperties(geometry)
         properties = ProximityProperties(found)
@@ -156,19 +154,7 @@ def _shape(surface: BodySurface) -> tuple[Shape, RigidTransform]:
 
 
 def PhantomMotion(*, trajectory: Trajectory) -> Diagram:
-    """Return a system that outputs a station's `phantom_command` from a trajectory.
-
-    .. pydrake_system::
-
-        name: phantom_motion
-        output_ports:
-        - phantom_command
-
-    Parameters
-    ----------
-    trajectory
-        Pose X_WT over time: x, y, z in m, and roll, pitch, yaw in rad.
-    """
+    """Return a system that outputs a station's `phantom_command` from a trajectory of X_WT."""
     builder = DiagramBuilder()
     source = builder.AddSystem(TrajectorySource(trajectory, output_derivative_order=1))
     builder.ExportOutput(source.get_output_port(), "phantom_command")

@@ -118,10 +118,7 @@ class PhantomMotionParameters:
 
 
 def phantom_trajectory(parameters: PhantomMotionParameters, X_WT: RigidTransform) -> Trajectory:
-    """Return the pose X_WT over time: x, y, z in m, and roll, pitch, yaw in rad.
-
-    It is cubic during a move, from rest to rest, and otherwise constant, apart from the breathing.
-    """
+    """Return the pose X_WT over time: x, y, z in m, and roll, pitch, yaw in rad."""
     breaks = [-1.0]
     pose = np.concatenate([X_WT.translation(), RollPitchYaw(X_WT.rotation()).vector()])
     knots = [pose]
@@ -160,11 +157,7 @@ def next_move(
     speed: ArrayLike,
     min_duration: float = 0.3,
 ) -> Move | None:
-    """Return the move that brings the phantom to its target, or None if no move is due.
-
-    A move under way is not interrupted, so each one goes from rest to rest. Target and highest mean
-    speeds are those of x, y, z in m and roll, pitch, yaw in deg.
-    """
+    """Return the move that brings the phantom to its target, or None if no move is due."""
     if moves and time < moves[-1].start + moves[-1].duration:
         return None
     done = np.zeros(6)

@@ -25,11 +25,7 @@ def probe_pose(
     height: float,
     surface: BodySurface | None = None,
 ) -> RigidTransform:
-    """Return the pose X_WP of a probe that looks along the normal of the phantom's top.
-
-    x, y and the height above the top are in m; at a yaw of zero Z_P is Y_T on a level top.
-    ValueError if the position is not on top of the phantom.
-    """
+    """Return the pose X_WP of a probe that looks along the normal of the phantom's top."""
     R_TP = RotationMatrix.MakeZRotation(yaw) @ RotationMatrix.MakeXRotation(-np.pi / 2)
     if surface is None or not surface.is_curved:
         return X_WT @ RigidTransform(R_TP, [x, y, height])
@@ -44,11 +40,7 @@ def probe_pose(
 def solve_posture(
     arm: ArmWithProbe, X_WP: RigidTransform, near: NDArray[np.float64] | None = None
 ) -> NDArray[np.float64]:
-    """Return (n,) joint positions in rad that put the probe at a pose, within the arm's limits.
-
-    They stay near others, by default the home posture. An arm with more than six joints takes the
-    nearest of the postures that reach the pose. ValueError if the arm cannot reach it.
-    """
+    """Return (n,) joint positions in rad that put the probe at a pose, within the arm's limits."""
     near = arm.home if near is None else near
     result = _solve(arm, X_WP, near, start=near)
     if not result.is_success():

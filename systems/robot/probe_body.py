@@ -122,10 +122,7 @@ def AddProbeBody(plant: MultibodyPlant, body: ProbeBody) -> ModelInstanceIndex:
 
 
 def distance_to_probe(body: ProbeBody, points: NDArray[np.float64]) -> float:
-    """Return the smallest distance in m of (m, 3) points in P from a probe's body.
-
-    It is negative inside.
-    """
+    """Return the least distance in m of (m, 3) points in P from a probe's body, below 0 inside."""
     builder = DiagramBuilder()
     plant, scene_graph = AddMultibodyPlantSceneGraph(builder, 0.0)
     AddProbeBody(plant, body)

@@ -17,10 +17,7 @@ _VERTEX = re.compile(rb"vertex\s+(\S+)\s+(\S+)\s+(\S+)")
 
 
 def without_stl(model: Path, packages: Mapping[str, str]) -> Path:
-    """Return a URDF or SDF file, or a copy that names OBJ meshes in place of its STL ones.
-
-    `packages` are folders by name. ConfigurationError if a mesh does not exist or cannot be read.
-    """
+    """Return a URDF or SDF file, or a copy that names OBJ meshes in place of its STL ones."""
     if model.suffix not in (".urdf", ".sdf") or ".stl" not in model.read_text().lower():
         return model
     changed = model.stat().st_mtime_ns

@@ -158,10 +158,8 @@ class CrossSectionParameters:
 def variance_image(
     intensities: NDArray[np.uint8], mean: float, *, deviations: str = "both"
 ) -> NDArray[np.float32]:
-    """Return the squared deviation from the whole image's ``mean`` (eq. 1); see `DEVIATIONS`.
-
-    The paper divides it by its largest value, which changes no correlation coefficient.
-    """
+    """Return the squared deviation from the whole image's ``mean`` (eq. 1); see `DEVIATIONS`."""
+    # The paper divides by the largest value, which changes no correlation coefficient.
     deviation = intensities.astype(np.float32) - np.float32(mean)
     if deviations == "signed":
         return deviation * np.abs(deviation)
@@ -229,11 +227,7 @@ def find_again(
     expected: tuple[Floats, float],
     parameters: CrossSectionParameters,
 ) -> CrossSection | NotFound:
-    """Find a cross-section in the next slice, around the `expected_position`.
-
-    Normalized cross-correlation with the last template identifies the needle's echo. The vertex of
-    that echo's front, or the match itself, gives the position.
-    """
+    """Find a cross-section in the next slice, around the `expected_position`."""
     size = np.array(last.template.shape)
     around = image.index(expected[0])
     first = np.rint(around).astype(int) - size

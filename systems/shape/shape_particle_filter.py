@@ -144,10 +144,7 @@ class _Filter:
 
 @dataclass(frozen=True, eq=False)
 class ShiftedBeliefs(Immutable):
-    """Beliefs about the needle for each level of the tissue's shift that is still possible.
-
-    ``numbers`` are those of the levels among `ShapeParticleFilterParameters.shift_stds`.
-    """
+    """Beliefs about the needle for each level of the tissue's shift that is still possible."""
 
     levels: tuple[ParticleBelief, ...]
     numbers: tuple[int, ...]

@@ -67,11 +67,7 @@ class MeasurementNoise:
         require(0 < self.independence <= 1, "independence", self.independence, allowed)
 
     def log_likelihood(self, squares: Floats, total: float) -> Floats:
-        """Return (n,) logarithms of the likelihood of squared residuals, up to a constant.
-
-        ``squares`` are the (n,) weighted sums in m^2 about each path's best origin, ``total`` that
-        of the weights of the cross-sections, each of which measures x and y.
-        """
+        """Return (n,) logarithms of the likelihood of squared residuals, up to a constant."""
         degrees = self.confidence + max(2 * total - 2, 0.0)
         return -0.5 * degrees * np.log(self._scale + squares)
 
@@ -134,11 +130,7 @@ class WanderParameters(Bounded):
 def combined_wander(
     prior: WanderParameters, learnt: Sequence[WanderParameters]
 ) -> WanderParameters:
-    """Return the wander's distribution after several needles in the same tissue.
-
-    ``learnt`` are those after each needle alone (`ShapeParticleFilter.learned_wander`). Their
-    logarithms count as normal, and the prior counts only once.
-    """
+    """Return the wander's distribution after several needles in the same tissue."""
 
     def combined(median: str, spread: str) -> dict[str, float]:
         """Add up what each needle tells, as precisions of the logarithm."""
@@ -232,10 +224,7 @@ class WanderFits(NamedTuple):
 
 @lru_cache(maxsize=16)
 def shift_modes(depth: float, length: float) -> WanderModes:
-    """Return the principal modes of a shift with the covariance exp(-d^2 / (2 length^2)).
-
-    Their sum with independent normal coefficients of standard deviation s has that deviation.
-    """
+    """Return the principal modes of a shift with the covariance exp(-d^2 / (2 length^2))."""
     depths = np.linspace(0, depth, max(int(np.ceil(3 * depth / length)), 2) + 1)
     apart = (depths[:, np.newaxis] - depths) / length
     values, vectors = np.linalg.eigh(np.exp(-0.5 * apart**2))
@@ -326,11 +315,7 @@ class ShapePosterior:
         variance: float,
         rng: np.random.Generator,
     ) -> tuple[Floats, Floats]:
-        """Draw the wander of each particle's path, given the measurements and their `fit`.
-
-        Returns (n, k, 2) coefficients of the modes along X and Y of I, in 1/m, and (n, 2) most
-        probable origins, in m, whose remaining variance is ``variance`` / ``moments.total``.
-        """
+        """Draw the wander of each particle's path, given the measurements and their `fit`."""
         sums, moments, _ = self._without_shift(sums, moments, variance)
         drawn = np.sqrt(variance * fits.shrinkage) * rng.normal(size=fits.mean.shape)
         along, across = (fits.mean + drawn) @ fits.rotation.T
@@ -379,11 +364,7 @@ class ShapePosterior:
     def _without_shift(
         self, sums: Floats, moments: Moments, variance: float
     ) -> tuple[Floats, Moments, float]:
-        """Return sums and moments with the tissue's shift integrated out, and its log determinant.
-
-        The coefficients of the shift's modes are normal, so the integral takes from each product of
-        two columns what both have in common with the modes.
-        """
+        """Return sums and moments with the tissue's shift integrated out, and its determinant."""
         k = self.wandering.stop
         std = self._parameters.noise.shift_std
         if self._shifts is None:

@@ -19,10 +19,7 @@ def squared_distance(probability: float, freedom: int) -> float:
 def confidence_ellipsoid(
     covariance: ArrayLike, probability: float = 0.95
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the (3, 3) rotation to an ellipsoid of confidence, and its half axes in m.
-
-    It holds a share of a normal distribution with a (3, 3) covariance in m^2.
-    """
+    """Return the (3, 3) rotation to an ellipsoid of confidence, and its half axes in m."""
     require(0 < probability < 1, "probability", probability, "between 0 and 1")
     variances, axes = np.linalg.eigh(np.asarray(covariance, dtype=float))
     if np.linalg.det(axes) < 0:

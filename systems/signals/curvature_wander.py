@@ -50,11 +50,7 @@ class WanderModes(Immutable):
 
 
 def wander_modes(depth: float, rotations: Sequence[float], length: float) -> WanderModes:
-    """Return the modes of a wandering curvature of length L down to a depth, both in m.
-
-    At the depths of the rotations, in m, the bevel is turned by 180 deg: the curvature changes
-    sign.
-    """
+    """Return the modes of a wandering curvature of length L down to a depth, both in m."""
     return _wander_modes(depth, tuple(rotations), length)
 
 

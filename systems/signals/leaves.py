@@ -29,10 +29,7 @@ def declare_looks(
     offset: float = 0.0,
     start: Callable[[Context], Any] | None = None,
 ) -> None:
-    """Declare publish events: regular ones, a forced one, and one at the start of each run.
-
-    ValueError if the period in s is not positive, or the offset in s is negative.
-    """
+    """Declare publish events: regular ones, a forced one, and one at the start of each run."""
     require_positive(period=period)
     require_not_negative(offset=offset)
     if start is not None:

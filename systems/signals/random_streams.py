@@ -9,9 +9,5 @@ HELD_OUT = range(100)
 
 
 def random_stream(seed: int, purpose: str, time: float) -> np.random.Generator:
-    """Return the random generator of one system for the volume at a time in s.
-
-    It makes a stateless system repeatable. Systems with different purposes, such as "detection",
-    draw different numbers from the seed that they share.
-    """
+    """Return the random generator of one system for the volume at a time in s."""
     return np.random.default_rng([seed, crc32(purpose.encode()), int(abs(time) * 1e9)])

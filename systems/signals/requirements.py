@@ -125,10 +125,7 @@ Point: TypeAlias = Annotated[list[float], count_of(3, "coordinates in m")]
 
 
 def check_bounds(value: Any) -> None:
-    """Raise ValueError unless each field of a dataclass is within the bounds of its annotation.
-
-    A field that may be None is not checked while it is; of a list, each element is.
-    """
+    """Raise ValueError unless each field of a dataclass is within the bounds of its annotation."""
     schema: Any = type(value)
     for name, bound, of_elements, optional in annotations_of(schema, Bound):
         held = getattr(value, name)
@@ -155,11 +152,7 @@ class Bounded:
 
 @cache
 def annotations_of(schema: type, kind: type[T]) -> list[tuple[str, T, bool, bool]]:
-    """Return the annotations of one kind in the types of a dataclass's fields.
-
-    Each has the field's name, whether it belongs to a list's elements, and whether the field may be
-    None.
-    """
+    """Return the annotations of one kind in the types of a dataclass's fields."""
     hints = get_type_hints(schema, include_extras=True)
     return [
         (each.name, *found, _may_be_none(hints[each.name]))

@@ -261,21 +261,14 @@ Floats = NDArray[np.float64]
 
 
 def blur_covariance(spread: PointSpread, geometry: SweepGeometry, p_P: Floats) -> Floats:
-    """Return the (m, 3, 3) covariances in P, in m^2, of Gaussians that approximate points' echoes.
-
-    The spread gives the widths, and the geometry the directions of the lines, at (m, 3) positions
-    in P, in m.
-    """
+    """Return the (m, 3, 3) covariances in P, in m^2, of Gaussians that approximate echoes."""
     axes, depth = line_axes(geometry, p_P)
     scaled = axes * (spread.widths(depth) / FWHM_PER_SIGMA)[..., np.newaxis]
     return np.asarray(scaled.swapaxes(1, 2) @ scaled)
 
 
 def line_axes(geometry: SweepGeometry, p_P: Floats) -> tuple[Floats, Floats]:
-    """Return (m, 3, 3) unit vectors of the lines through (m, 3) positions in P, and (m,) depths.
-
-    The rows are the directions along the array, across the frame and along the line; depths in m.
-    """
+    """Return (m, 3, 3) unit vectors of the lines through (m, 3) positions in P, and (m,) depths."""
     x, y, z = np.asarray(p_P, dtype=float).T
     y = y + geometry.motor_radius
     q = np.hypot(y, z) + geometry.array_radius - geometry.motor_radius

@@ -56,10 +56,7 @@ class Replay:
         clock: Callable[[], float] = time.perf_counter,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
-        """Play the run on a console until its stop is pressed or, with ``once``, to its end.
-
-        A slider shows and sets the time; pause, step (by a volume) and speed are those of a run.
-        """
+        """Play the run on a console until its stop is pressed or, with ``once``, to its end."""
         controls = console.controls
         slider = Control(
             name="time", port="", label="time", unit_label="s", unit=1.0, least=0.0, most=self.end,

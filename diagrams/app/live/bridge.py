@@ -28,10 +28,7 @@ def record_live(
     limits: LiveLimits | None = None,
     say: Callable[[str], None] = print,
 ) -> dict[str, Any]:
-    """Record a live connection to a file until a limit or an interruption.
-
-    The file is valid even then. The source should keep `QUEUE` volumes. Returns the summary.
-    """
+    """Record a live connection until a limit or an interruption; return the summary."""
     writer: RecordingWriter | ZeaWriter | None = None
     count, interrupted = 0, False
     try:
@@ -66,11 +63,7 @@ def play_live(
     *,
     speed: float = 1.0,
 ) -> dict[str, Any]:
-    """Send recorded volumes as a scanner would, to the end or until an interruption.
-
-    The speed is relative to the recording's own; at 0, each waits for the slowest peer, and none is
-    dropped. Returns the summary.
-    """
+    """Send recorded volumes as a scanner would; at speed 0, none is dropped. Return the summary."""
     require_not_negative(speed=speed)
     started = time.perf_counter()
     count, interrupted = 0, False

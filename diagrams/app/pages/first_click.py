@@ -16,11 +16,7 @@ from sonoservo.systems.signals.image_slice import ImageSlice
 
 
 def ask_click(scenario: Scenario, terminal: Terminal, page: Page) -> ShapePredictionScenario:
-    """Let a person click on the needle in the first slice, and return the scenario with its place.
-
-    The tracker then starts there (``tracker.start``); saved, the scenario repeats the run without
-    another click.
-    """
+    """Return the scenario with the place at which a person clicks in the first slice."""
     predicted = require_scenario(scenario, ShapePredictionScenario)
     with terminal.status("Acquiring the first slice ..."):
         image = first_slice(predicted)

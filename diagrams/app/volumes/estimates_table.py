@@ -13,10 +13,7 @@ from sonoservo.systems.signals.search_reason import ReasonCount
 
 
 def estimate_row(tracked: Tracked, *, posed: bool) -> dict[str, Any]:
-    """Return an estimate as a row of ``estimates.csv``, in the source's own frame L (LPS).
-
-    If the source is posed, W differs from L, and the row also contains the tip in W.
-    """
+    """Return an estimate as a row of ``estimates.csv``, in the source's own frame L (LPS)."""
     estimate, X_WL = tracked.estimate, tracked.X_WL
     row: dict[str, Any] = {
         "volume": tracked.number,

@@ -118,10 +118,7 @@ def locate_in_recording(
     order: int = 2,
     parameters: NeedleLocalizerParameters | None = None,
 ) -> dict[str, Any]:
-    """Locate the needle in a volume of a file; return figures to print, in LPS and mm.
-
-    A `ConfigurationError` says that there is no such volume; see `locate` for the others.
-    """
+    """Locate the needle in a volume of a file; return figures to print, in LPS and mm."""
     if not 0 <= number < len(recording):
         raise ConfigurationError(
             f"{recording.path}: volume {number} is out of range (0 to {len(recording) - 1})"

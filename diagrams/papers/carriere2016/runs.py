@@ -237,10 +237,7 @@ def _bound(experiment: ShapePredictionExperiment, log: ShapeLog) -> dict[str, fl
 def _sweeps(
     experiment: ShapePredictionExperiment, case: Case, slices: Sequence[ImageSlice], log: ShapeLog
 ) -> Mapping[str, Mapping[str, Any]]:
-    """Return the published method's errors with each value of each parameter.
-
-    A method that gives no shape has no errors.
-    """
+    """Return the published method's errors with each value of each parameter."""
     results: dict[str, dict[str, Any]] = {}
     for name, values in SWEEPS.items():
         results[name] = {}

@@ -88,12 +88,7 @@ class Protocol:
 
 
 def bent_insertion(seed: int) -> list[str]:
-    """Draw a bent needle, and return the changes that turn fig. 5's needle into it.
-
-    The bevel's radius is between 150 and 400 mm, the elevation between 0 and 40 deg out of the
-    horizontal, and the bend to any side. The tip ends at the same point as in fig. 5. The needle is
-    as long as the phantom allows, and is pushed in the same time.
-    """
+    """Draw a bent needle, and return the changes that turn fig. 5's needle into it."""
     rng = np.random.default_rng([2013, seed])
     radius, dip, roll = rng.uniform([0.15, 0.0, -180.0], [0.4, 40.0, 180.0])
     tip, longest = np.array([-0.023, 0.0, -0.050]), 0.097
@@ -120,11 +115,7 @@ def bent_insertion(seed: int) -> list[str]:
 
 
 def direction_of_insertion(seed: int) -> list[str]:
-    """Draw the direction of a needle that passes below the probe, as changes of fig. 5.
-
-    The azimuth is up to 50 deg to either side of the probe's longitudinal axis, which is the X axis
-    of P, the dip between 5 and 40 deg.
-    """
+    """Draw the direction of a needle that passes below the probe, as changes of fig. 5."""
     azimuth, dip = np.random.default_rng([2013, seed, 1]).uniform([-50.0, 5.0], [50.0, 40.0])
     return [
         "station.probe={x: 0.0, y: 0.0, yaw_deg: 0.0, height: 0.010}",

@@ -58,10 +58,7 @@ _LONGEST_NEEDLE = 25e-3
 
 @dataclass(frozen=True)
 class StraightNeedle:
-    """A straight needle inside the phantom.
-
-    `start`: (3,) rear end in T, in m; `direction`: (3,) unit vector towards the tip.
-    """
+    """A straight needle in T: (3,) rear end in m, and unit vector towards the tip."""
 
     start: NDArray[np.float64]
     direction: NDArray[np.float64]

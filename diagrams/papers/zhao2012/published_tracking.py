@@ -22,10 +22,7 @@ _STD = 0.5e-3
 
 
 def with_input(state: AxisTipState, change: float, dt: float) -> AxisTipState:
-    """Return a predicted state with the control input of eq. 1: B maps u to (0, dt u, u).
-
-    ``change`` is that of the commanded speed at the beginning of the step of ``dt`` s, in m/s.
-    """
+    """Return a predicted state with the control input of eq. 1: B maps u to (0, dt u, u)."""
     u = change * state.direction
     length = state.length + dt * change
     return replace(
@@ -62,10 +59,7 @@ class PublishedTracking:
     def __call__(
         self, sweep: RadioFrequencySweep, volume: Volume, change: float | None = None
     ) -> PublishedResult:
-        """Track the needle in the next sweep and its volume.
-
-        ``change`` is that of the commanded speed since the last volume, in m/s; None for a hand.
-        """
+        """Track the needle in the next sweep and its volume."""
         found = localize_as_published(volume, self._towards, 1, self._rng)
         measured = None
         if not isinstance(found, NotFound):

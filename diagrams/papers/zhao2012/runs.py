@@ -58,10 +58,7 @@ def _b_mode(geometry: SweepGeometry) -> BMode:
 
 
 def _phantom(settings: Mapping[str, Any]) -> Phantom:
-    """Return a phantom with speckle of its own and its needle shifted off the grid by up to 0.3 mm.
-
-    Of the settings, `phantom` is the seed; `direction` in T and `deeper_mm` may move the needle.
-    """
+    """Return a phantom with speckle of its own and its needle up to 0.3 mm off the grid."""
     seed = settings["phantom"]
     direction = np.array(settings.get("direction", DIRECTION))
     direction = direction / np.linalg.norm(direction)
@@ -136,11 +133,7 @@ class _Estimators:
 
 
 def run_dynamic(case: Case) -> Mapping[str, Any]:
-    """Track a needle that is pushed from 5 mm on.
-
-    The settings give the mean speeds between the volumes, `speeds_mm_s`, the time between them,
-    `interval_s`, and whether the published filter is told how the speeds change (`commanded`).
-    """
+    """Track a needle that is pushed from 5 mm on."""
     settings = case.settings
     phantom = _phantom(settings)
     b_mode = _b_mode(phantom.renderer.geometry)
@@ -185,10 +178,7 @@ def run_static(case: Case) -> Mapping[str, Any]:
 
 
 def run_open_values(case: Case) -> Mapping[str, Any]:
-    """Push a needle, and track it by RANSAC and the published filter with each noise of `noises`.
-
-    Returns the errors of the tip in mm by the noise's name; None where nothing was found.
-    """
+    """Push a needle; track it by RANSAC and the published filter with each of the `noises`."""
     settings, phantom = case.settings, _phantom(case.settings)
     b_mode, rng = _b_mode(phantom.renderer.geometry), np.random.default_rng([case.seed, 5])
     trackers = {

@@ -32,11 +32,7 @@ _RMSE_TARGET = 0.3
 
 
 def speed_errors(outcomes: Sequence[Outcome], experiment: str) -> Mapping[str, list[Floats]]:
-    """Return the errors of the speed along the needle in mm/s by source and run.
-
-    They count from the third volume on; NaN where a source gave nothing. The true speed is the mean
-    between two volumes.
-    """
+    """Return errors of the speed in mm/s from the third volume on, by source and run."""
     mine = [each for each in outcomes if each and each.case.experiment == experiment]
     errors: dict[str, list[Floats]] = {}
     for each in mine:
@@ -162,11 +158,7 @@ def _missing(errors: Floats) -> float:
 
 
 def loop_errors(run: Run) -> dict[float, Floats]:
-    """Return the errors of the estimated speed along the needle in mm/s, by true speed in mm/s.
-
-    Volumes count from `_SETTLED` after the beginning of a push on, NaN if not tracked. The first
-    push, during which the needle is found, does not count.
-    """
+    """Return the errors of the estimated speed along the needle in mm/s, by true speed in mm/s."""
     hand, volumes = run.scenario.hand, run.volumes
     assert hand.start is not None
     time = volumes.time

@@ -127,10 +127,7 @@ def localize_as_published(
     rng: np.random.Generator,
     candidate_volume: float = KEPT_VOLUME,
 ) -> NeedleMeasurement | NotFound:
-    """Localize the needle by RANSAC in the whole volume; see `localize_in_whole_volume`.
-
-    Without ``refits`` the axis is that of the best sample; 1 is the published local optimization.
-    """
+    """Localize the needle by RANSAC in the whole volume; see `localize_in_whole_volume`."""
     parameters = WholeVolumeRansacParameters(
         candidate_volume=candidate_volume, ransac=replace(_RANSAC, refits=refits), tip=_TIP
     )
@@ -151,10 +148,7 @@ class Tracked:
 
 
 class Tracking:
-    """Tracker that is called for each volume, without a simulation.
-
-    ``towards`` is the (3,) rough direction in W from entry to tip.
-    """
+    """Tracker that is called for each volume, without a simulation."""
 
     def __init__(self, towards: NDArray[np.float64], seed: int, with_velocity: bool = True) -> None:
         self._towards = towards

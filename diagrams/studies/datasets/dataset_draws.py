@@ -45,10 +45,7 @@ class DrawnDials:
 
 
 def draw_dials(rng: np.random.Generator) -> DrawnDials:
-    """Draw which dials that show in a volume are on, and how far.
-
-    The needle's angle and speed are drawn anyway; their dials raise the upper limits.
-    """
+    """Draw which dials that show in a volume are on, and how far."""
     strengths: dict[str, float] = {}
     changes: list[str] = []
     taken: set[str] = set()

@@ -52,12 +52,7 @@ def make_episodes(
     cluster: Executor | None = None,
     console: Console | None = None,
 ) -> dict[str, Any]:
-    """Run a scenario with several seeds from its own on, and write its episodes for LeRobot.
-
-    A frame is a volume: its two middle planes, joints, features as the servo saw them, wrench of
-    the wrist, and what servo and force law were told. Returns the contents of ``meta/info.json``;
-    finished runs stay in ``cases`` for a second call.
-    """
+    """Run a scenario with several seeds from its own on, and write its episodes for LeRobot."""
     require_extra("pyarrow", "lerobot", out)
     scenario = require_scenario(scenario, FollowingScenario)
     settings = {"scenario": scenario.to_yaml()}

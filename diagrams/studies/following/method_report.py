@@ -73,10 +73,7 @@ _QUANTILES = {"median": 0.5, "95 %": 0.95, "largest": 1.0}
 def errors(
     column: str, name: str, unit: str, factor: float, **targets: float
 ) -> tuple[Quantity, ...]:
-    """Return an error over all volumes that count: median, 95 % and largest.
-
-    ``targets`` are those of the median and of 95 % (p95).
-    """
+    """Return an error over all volumes that count: median, 95 % and largest."""
     keys = {"median": "median", "95 %": "p95"}
     return tuple(
         Quantity(
@@ -106,10 +103,7 @@ def at_rest(
     known: Sequence[tuple[float | None, float | None]] = 3 * ((None, None),),
     share: float | None = None,
 ) -> list[Quantity]:
-    """Return the features at rest: where a run converged, and the median over all runs.
-
-    ``known``: the paper's figures and the targets; ``share``: target of runs that converge, in %.
-    """
+    """Return the features at rest: where a run converged, and the median over all runs."""
     rows = [Quantity("runs that converged", "%", converged(), target=share, wanted="at least")]
     for k, (name, (paper, target)) in enumerate(zip(("X", "Z", "Theta"), known, strict=True)):
         unit, factor = ("deg", _DEG) if name == "Theta" else ("mm", _MM)

@@ -110,18 +110,7 @@ class MotionPlan:
 
 
 class PlannedMotion(LeafSystem):
-    """Outputs the poses of probe and phantom that a plan gives, as functions of time alone.
-
-    .. pydrake_system::
-
-        name: PlannedMotion
-        output_ports:
-        - true_X_WP
-        - X_WT
-        - calibrated_X_WP
-
-    `X_PC` is the pose of the calibrated probe frame, as an arm has it, in the true one.
-    """
+    """Outputs the poses of probe and phantom that a plan gives, as functions of time alone."""
 
     def __init__(self, *, plan: MotionPlan, X_PC: RigidTransform) -> None:
         super().__init__()
@@ -201,10 +190,7 @@ def simulate_planned(
     until: float,
     optional: Iterable[str] = (),
 ) -> Simulator:
-    """Simulate a probe that moves as planned up to a time in s, and return the simulator.
-
-    ``optional`` names inputs of the observers that need no output.
-    """
+    """Simulate a probe that moves as planned up to a time in s, and return the simulator."""
     systems: dict[str, System] = {
         "measured_motion": MakeMeasuredMotion(scenario=scenario, plan=plan),
         **scene.reacting({"hand": Hand(insertion=scene.insertion)}),
@@ -227,16 +213,7 @@ def simulate_planned(
 
 
 def MakeMeasuredMotion(*, scenario: FollowingScenario, plan: MotionPlan) -> Diagram:
-    """Make a planned motion with the probe's measured pose: late, and calibrated wrongly.
-
-    .. pydrake_system::
-
-        name: (none)
-        output_ports:
-        - X_WP
-        - true_X_WP
-        - X_WT
-    """
+    """Make a planned motion with the probe's measured pose: late, and calibrated wrongly."""
     seeds, station = draw_seeds(scenario), scenario.station
     builder = DiagramBuilder()
     motion = builder.AddNamedSystem(

@@ -86,11 +86,7 @@ def study_cases(options: StudyOptions) -> list[Case]:
 
 
 def withdrawal(seed: int) -> list[str]:
-    """Draw the changes by which the phantom moves and the needle is withdrawn.
-
-    The phantom moves by 2 to 4 cm to any side, in 0.6 to 1.2 s; a second later, the needle is
-    withdrawn at 15 to 30 mm/s until it is out.
-    """
+    """Draw the changes by which the phantom moves and the needle is withdrawn."""
     rng = np.random.default_rng([2027, seed])
     drawn = rng.uniform([0.02, 0, 0.6, 0.015], [0.04, 2, 1.2, 0.03])
     distance, side, duration, speed = (float(each) for each in drawn)

@@ -89,12 +89,7 @@ Floats = NDArray[np.float64]
 
 
 def run_case(case: Case) -> Mapping[str, Any]:
-    """Run a case, and return the record of each tracker by its kind; see `record`.
-
-    Its settings name the `loop` ("open", "closed" or "search"), `scenario`, `changes` and
-    `trackers`, the frame of the errors (`in_probe`, `across_depth`), and whether to
-    `correct_poses`.
-    """
+    """Run a case, and return the record of each tracker by its kind; see `record`."""
     settings = case.settings
     trackers = settings["trackers"]
     with scenario_of(settings, case.seed) as scenario:

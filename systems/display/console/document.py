@@ -123,11 +123,7 @@ class PageDocument:
         anew: bool = False,
         keep: int = 1,
     ) -> None:
-        """Send a state, and what has changed with it.
-
-        The samples of the strips come by column; `anew` if they replace those before, and `keep` of
-        them stay.
-        """
+        """Send a state, and what has changed with it."""
         message, images = dict(state), list[NDArray[np.uint8]]()
         if frame is not None:
             message["frame"], images = _describe_frame(frame)

@@ -74,10 +74,7 @@ def sample_estimate(
     lines: LineHypotheses | None = None,
     **values: Any,
 ) -> Sample:
-    """Return a sample with the features of an estimate, seen from the probe.
-
-    `lines` are those that are followed, if the tracker tells, and `values` further fields.
-    """
+    """Return a sample with the features of an estimate, seen from the probe."""
     if lines:
         followed = Counter(name for name in line_classes(lines) if name != "nothing")
         values |= {"lines": followed, "probability": float(lines.probabilities.max())}
@@ -103,10 +100,7 @@ def needle_place(p_WEntry: Floats, p_WTip: Floats, X_WP: RigidTransform) -> dict
 
 
 def tip_error(estimate: NeedleEstimate, tips: Sequence[tuple[float, Floats]]) -> float:
-    """Return the distance in mm of an estimated tip from the true one; NaN if unknown.
-
-    `tips` are recent times in s and true positions in W, in m, compared at the estimate's time.
-    """
+    """Return the distance in mm of an estimated tip from the true one; NaN if unknown."""
     if estimate.curve is None or not tips or estimate.time < tips[0][0]:
         return _NONE
     times, positions = zip(*tips, strict=True)
@@ -136,10 +130,7 @@ def needle_readings(sample: Sample) -> list[Reading]:
 
 
 def describe_state(sample: Sample | None) -> dict[str, str]:
-    """Return the state in words: ``kind``, ``word``, ``detail`` and ``advice``.
-
-    The kind is stopped, showing, waiting or the mode; the detail is the reason.
-    """
+    """Return the state in words: ``kind``, ``word``, ``detail`` and ``advice``."""
     if sample is None:
         return {"kind": "waiting", "word": "waiting", "detail": _WAITING, "advice": ""}
     if sample.stopped:
@@ -168,11 +159,7 @@ STRIPS = ("time", "x", "z", "theta", "force", "target", "error", "probability", 
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """Pictures of one volume, with its number, time in s and tracking mode (or nothing).
-
-    A slice that misses the volume is None. `paths` are the columns of the charts of `ShapePage`, in
-    mm.
-    """
+    """Pictures of one volume, with its number, time in s and tracking mode (or nothing)."""
 
     number: int
     time: float
@@ -183,10 +170,7 @@ class Frame:
 
 
 class Strips:
-    """Samples of the last minute, numbered so that pages can catch up.
-
-    `end` is the number of the next one.
-    """
+    """Samples of the last minute, numbered so that pages can catch up."""
 
     def __init__(self) -> None:
         self._samples: deque[Sample] = deque()

@@ -113,20 +113,13 @@ def _origin(R: Floats, centre: Floats) -> Floats:
 
 
 def _level_scale(R: Floats) -> Floats:
-    """Return the vector in P that is zero below the middle of the probe, and 1 a metre along X.
-
-    It is zero everywhere on a slice that dips by 60 deg or more, which has no such point nearby.
-    """
+    """Return the vector in P that is zero below the middle of the probe, and 1 a metre along X."""
     level = R[:, 0] * [1, 0, 1]
     return level / (level @ level) if level @ level > 0.25 else np.zeros(3)
 
 
 def kept_slice(number: int, slice_: Plane, grey: NDArray[np.uint8], needle: Floats) -> SlicePicture:
-    """Return the picture of a slice that was sampled earlier, along its own X and Y.
-
-    The number is 0 along the beam and 1 across it; the needle is (m, 3) points in P, in m, entry
-    first.
-    """
+    """Return the picture of a slice that was sampled earlier, along its own X and Y."""
     R, centre = _upright(slice_), slice_.X_PS.translation()
     plane = Plane(RigidTransform(RotationMatrix(R), centre), slice_.width, slice_.height)
     view = SliceView(plane, _origin(R, centre), np.zeros((2, 2)))

@@ -50,11 +50,7 @@ class _Nothing(Guarded):
 
 
 def open_bokeh_page(site: Site, *, page: str, title: str, make: Callable[[Document], None]) -> None:
-    """Add a page to a site that is served by Bokeh, on the site's own thread.
-
-    `make` fills the document of a page that opens. Page and WebSocket are answered only if the
-    site's rule allows it; Bokeh's published scripts are served to everybody.
-    """
+    """Add a page to a site that is served by Bokeh, on the site's own thread."""
     # A page that closes early is no news, and one that sends what no page does is disconnected, or
     # told so; it must not fill the terminal with tracebacks.
     logging.getLogger("bokeh").setLevel(logging.CRITICAL)

@@ -248,10 +248,7 @@ class Site:
 
 
 class Guarded(RequestHandler):
-    """Request handler that answers only what the site's rule allows.
-
-    A published library needs no token.
-    """
+    """Request handler that answers only what the site's rule allows."""
 
     needs_token = True
 

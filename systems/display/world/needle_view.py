@@ -16,10 +16,7 @@ _RING = 6e-3  # Radius of the ring around the estimated tip, in m: clear of the 
 
 
 class NeedleView:
-    """A whole needle: the part in the tissue with its tip, the part outside it, and the hub.
-
-    It is drawn thicker than it is, to be seen beside the arm.
-    """
+    """A whole needle: the part in the tissue with its tip, the part outside it, and the hub."""
 
     def __init__(self, *, meshcat: Meshcat, path: str, length: float, radius: float) -> None:
         self._length = length
@@ -58,10 +55,7 @@ class NeedleView:
 
 
 class EstimateView:
-    """An estimated needle in the colour of its mode, with a ring around its tip.
-
-    It is drawn over the true needle, and hidden while searching.
-    """
+    """An estimated needle in the colour of its mode, with a ring around its tip."""
 
     def __init__(self, *, meshcat: Meshcat, path: str) -> None:
         self._meshcat, self._path = meshcat, path

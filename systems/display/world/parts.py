@@ -101,10 +101,7 @@ class Label:
         colour: Sequence[float] = (1, 1, 1),
         background: Sequence[float] = (0, 0, 0),
     ) -> None:
-        """Show a text from a time on, in s; an empty one hides the label.
-
-        A text keeps the colours in which it is first shown.
-        """
+        """Show a text from a time on, in s; an empty one hides the label."""
         if text == self._shown:
             return
         if self._shown:
@@ -232,10 +229,7 @@ class ForceArrow:
 def set_scene(
     meshcat: Meshcat, camera: Sequence[float], target: Sequence[float], field_of_view_deg: float
 ) -> None:
-    """Hide Meshcat's axes and grid, lighten the background and place the camera.
-
-    Camera and target are in W, in m; the field of view goes from the lower edge to the upper one.
-    """
+    """Hide Meshcat's axes and grid, lighten the background and place the camera."""
     for each in ("/Axes", "/Grid"):
         meshcat.SetProperty(each, "visible", False)
     meshcat.SetProperty("/Background/<object>", "top_color", [0.96, 0.97, 0.98])

@@ -13,10 +13,7 @@ _ADDRESS = re.compile(r"(\w+)://(\[[0-9a-fA-F:.]+\]|[^/:\s]*)(?::(\d{1,5}))?(?:/
 
 @dataclass(frozen=True)
 class Address:
-    """Address to connect to, or to listen on: for this machine alone if the host is empty.
-
-    ``0.0.0.0`` and ``::`` listen on all networks. An empty device stands for any.
-    """
+    """Address to connect to, or to listen on: for this machine alone if the host is empty."""
 
     host: str
     port: int

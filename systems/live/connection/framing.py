@@ -36,11 +36,7 @@ class MessageError(Exception):
 
 @dataclass(frozen=True)
 class Header:
-    """Header of a message: its time in s, and size and checksum of its body in bytes.
-
-    From version 2 on, the body has an extended header and metadata. `type` and `device` are, for
-    example, ``IMAGE`` and ``Image_Probe``.
-    """
+    """Header of a message: its time in s, and size and checksum of its body in bytes."""
 
     version: int
     type: str
@@ -86,11 +82,7 @@ def pack_frame(kind: str, device: str, time: float, content: bytes) -> bytes:
 
 
 class Framer:
-    """Cuts the bytes of one connection into messages of the wanted types and sizes.
-
-    Read into `buffer`, then call `advance`. Memory is reserved as bytes arrive, whatever a header
-    announces.
-    """
+    """Cuts the bytes of one connection into messages of the wanted types and sizes."""
 
     def __init__(self, wanted: Mapping[str, int]) -> None:
         self._wanted = wanted

@@ -40,10 +40,7 @@ class CalibrationParameters(Bounded):
 
 
 def hand_eye_error(parameters: CalibrationParameters, seed: int) -> RigidTransform:
-    """Return the pose X_PC of the calibrated probe frame in the true one.
-
-    A seed draws its direction.
-    """
+    """Return the pose X_PC of the calibrated probe frame in the true one, drawn by a seed."""
     rng = np.random.default_rng([seed, 1])
     along, axis = (each / np.linalg.norm(each) for each in rng.normal(size=(2, 3)))
     turn = AngleAxis(np.deg2rad(parameters.hand_eye_rotation_deg), axis)

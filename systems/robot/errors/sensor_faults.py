@@ -65,10 +65,7 @@ def faulty_sample(
     number: int,
     noise: float,
 ) -> NDArray[np.float64]:
-    """Return a (6,) sample, in N m and N, as a fault distorts it.
-
-    `held` is the last one before the fault; `number` seeds the noise.
-    """
+    """Return a (6,) sample, in N m and N, as a fault distorts it."""
     if fault.kind == "nan":
         return np.full(6, np.nan)
     if fault.kind == "frozen":

@@ -90,10 +90,7 @@ class PublishedParticleFilterParameters(ShapeEstimatorParameters):
 
 @dataclass(frozen=True, eq=False)
 class PublishedBelief(Immutable):
-    """Particles (n, 2), R in m and theta_0 in rad, and (m, 3) measured x, y, depth in I, in m.
-
-    ``plane`` is phi in rad from all points so far; None before the start depth.
-    """
+    """Particles (n, 2), R in m and theta_0 in rad, and (m, 3) measured x, y, depth in I, in m."""
 
     particles: Floats
     points: Floats
@@ -146,11 +143,7 @@ class PublishedParticleFilter:
         return PublishedBelief(particles, points, plane)
 
     def represent(self, belief: PublishedBelief, rng: np.random.Generator) -> ShapePaths | NotFound:
-        """Return 4 paths with the particles' mean and spread, or the reason why there are none yet.
-
-        The paths are pairs about the mean. Their mean is the path of the mean parameters, which is
-        the paper's prediction.
-        """
+        """Return 4 paths with the particles' mean and spread, or the reason why there are none."""
         if belief.plane is None:
             return NotFound(
                 f"the filter starts at a depth of {1e3 * self.parameters.start_depth:g} mm, "

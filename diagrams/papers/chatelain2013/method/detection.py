@@ -123,13 +123,7 @@ def top_differences(
     *,
     seen: tuple[NDArray[np.bool_], NDArray[np.bool_]] | None = None,
 ) -> tuple[NDArray[np.int64], float]:
-    """Find the voxels with the largest absolute difference (Chatelain 2013, eq. 1).
-
-    The threshold is the order statistic that leaves ``count`` voxels; of those that equal it, a
-    subset scattered over the volume is taken. Only voxels that both volumes show (``seen``) are
-    compared. Returns their (m, 3) indices and the smallest difference among them, 0 if nothing
-    changed.
-    """
+    """Return (m, 3) indices and least change of the ``count`` voxels that differ most (eq. 1)."""
     seen_now, seen_before = seen or (_ALL, _ALL)
     index, change = _changes(current, previous, seen_now, seen_before, seen is not None)
     if len(index) == 0:
@@ -147,11 +141,7 @@ def top_differences(
 def geometric_median(
     points: ArrayLike, *, tolerance: float = 1e-7, max_trials: int = 200
 ) -> NDArray[np.float64]:
-    """Return the (d,) geometric median of (m, d) points (Chatelain 2013, eq. 2).
-
-    Weiszfeld's iteration starts at their mean and steps beyond a point that it hits (Vardi and
-    Zhang 2000). No point raises ValueError.
-    """
+    """Return the (d,) geometric median of (m, d) points (Chatelain 2013, eq. 2)."""
     points = np.asarray(points, dtype=float)
     if points.ndim != 2 or len(points) == 0:
         raise ValueError(f"points has shape {points.shape}; expected (m, d) with m > 0")

@@ -212,11 +212,7 @@ def least_length(first: bool, min_length: float) -> float:
 def intensity_drops(
     bright: NDArray[np.float64], middle: float, max_gap: float
 ) -> tuple[float, float]:
-    """Return the ends of the bright stretch around ``middle``; no gap up to ``max_gap`` ends it.
-
-    ``bright`` holds the ascending abscissae of the bright samples of a profile. All lengths are in
-    m.
-    """
+    """Return the ends of the bright stretch around ``middle``; no gap up to ``max_gap`` ends it."""
     start, tip = (_end(bright, middle, side, max_gap) for side in (-1, 1))
     return start, tip
 
@@ -255,12 +251,7 @@ def relative_sagitta(control_points: NDArray[np.float64]) -> float:
 def optimize_locally(
     points: NDArray[np.float64], axis: Axis, *, max_bend: float, max_trials: int = 600
 ) -> Axis:
-    """Optimize a bent axis of order 3 on its (m, 3) inliers, in m, without derivatives.
-
-    The method of Nelder and Mead minimizes the mean distance from the inliers (Chatelain 2013,
-    section II-D) over axes whose ratio of sagitta to chord is at most ``max_bend``. The given axis
-    is returned if no better one was found.
-    """
+    """Optimize a bent axis on its (m, 3) inliers by Nelder and Mead's method (section II-D)."""
     a = axis.abscissa(points)
     start = axis.position(np.linspace(a.min(), a.max(), 3))
 

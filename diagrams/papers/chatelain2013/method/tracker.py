@@ -95,10 +95,7 @@ def add_published_parts(
     period: float,
     offset: float,
 ) -> TrackManager:
-    """Add and connect the parts of a tracker as published, export its ports, return its manager.
-
-    Detection and the life of a track are those of Chatelain 2013: a lost needle is not looked for.
-    """
+    """Add and connect the parts of a tracker as published, export its ports, return its manager."""
     events: dict[str, Any] = {"period": period, "offset": offset}
     lifecycle = PublishedLifecycle(order=parameters.order, needle_filter=needle_filter)
     manager = connect_parts(

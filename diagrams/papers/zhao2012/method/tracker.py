@@ -109,10 +109,7 @@ def measure_velocity_as_published(
     direction: NDArray[np.float64],
     parameters: SpeckleVelocimeterParameters,
 ) -> VelocityMeasurement | NotFound:
-    """Measure the velocity with both windows around the known tip, as printed in Zhao 2012, 2.3.
-
-    The search region is not centred on the predicted tip; see `measure_velocity` for the arguments.
-    """
+    """Measure the velocity with both windows around the known tip, as printed in Zhao 2012, 2.3."""
     return measure_velocity(current, previous, p_WBefore, p_WBefore, direction, parameters)
 
 

@@ -82,11 +82,7 @@ class WholeVolumeNeedle:
     tip: float
 
     def measurement(self, time: float, std: float, independent: float) -> NeedleMeasurement:
-        """Return the measurement with which a track can start.
-
-        Its covariance is the fit's with a number of ``independent`` voxels, and ``std`` in m of
-        both ends.
-        """
+        """Return the measurement with which a track can start."""
         ends = np.array([self.start, self.tip])
         covariance = self.fit.covariance(ends, independent) + std**2 * np.eye(6)
         curve = NeedleCurve(self.fit.axis.position(ends))
@@ -158,10 +154,7 @@ def explain_whole_volume_localization(
     parameters: WholeVolumeLocalizationParameters,
     rng: np.random.Generator,
 ) -> LocalizationExplanation:
-    """Localize the needle by `localize_in_whole_volume`, whatever was predicted.
-
-    Of the prediction, only the direction counts: it tells the tip from the rear end.
-    """
+    """Localize the needle by `localize_in_whole_volume`, whatever was predicted."""
     if isinstance(prediction, NotFound):
         return LocalizationExplanation(volume.time, prediction, (), prediction)
     assert prediction.curve is not None
