@@ -12,7 +12,6 @@ from pydrake.systems.framework import System
 
 from sonoservo.diagrams.app.kept_runs.kept_run import KeptRun, refusing
 from sonoservo.diagrams.app.pages.pacer import RealTime
-from sonoservo.diagrams.app.run import finish
 from sonoservo.diagrams.app.run_result import RunResult
 from sonoservo.diagrams.experiments.following import FollowingExperiment
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
@@ -193,7 +192,7 @@ def _drive(
             console.say(paused=paused, pace="" if paused else pace, note=hint)
             if show is not None:
                 show(experiment.time, "; ".join(filter(None, ["paused" if paused else pace, hint])))
-    return finish(kept, experiment)
+    return kept.finish(experiment)
 
 
 def _pace(factor: float | None) -> str:

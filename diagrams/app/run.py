@@ -20,7 +20,6 @@ from sonoservo.diagrams.experiments.registry import (
     experiment_class,
     load_scenario,
     make_experiment,
-    present,
 )
 from sonoservo.diagrams.scenario import Scenario
 from sonoservo.systems.display.console.readings import Sample
@@ -158,27 +157,7 @@ def run(
                 experiment.run(note, real_time=shown)
             finally:
                 experiment.close()
-        return finish(kept, experiment)
-
-
-def finish(kept: KeptRun, experiment: Experiment[Any]) -> RunResult:
-    """Summarise a run that has ended, and write its output files."""
-    log = experiment.log()
-    summary = kept.summary(experiment.time, experiment.summarize(log))
-    kept.write_summary(summary)
-    presenter = present(experiment)
-    plots = presenter.plots(log)
-    kept.write(summary, experiment, log, plots)
-    return RunResult(
-        summary=summary,
-        log=log,
-        labels=presenter.labels,
-        results=experiment.results(),
-        failure=kept.unwritten.failure,
-        verdict=presenter.verdict(summary),
-        published=experiment.happened().published_figures,
-        plots=plots,
-    )
+        return kept.finish(experiment)
 
 
 def _bar(scenario: Scenario, wanted: bool | None) -> Progress | None:

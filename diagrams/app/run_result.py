@@ -1,7 +1,9 @@
 """Results of a run, which print and draw themselves."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from matplotlib.figure import Figure
@@ -10,9 +12,11 @@ from rich.table import Table as TerminalTable
 from rich.text import Text
 
 from sonoservo.systems.evaluation.labels import look_up
-from sonoservo.systems.evaluation.reports.report import Story, report_body
+from sonoservo.systems.evaluation.reports.plots import png
+from sonoservo.systems.evaluation.reports.report import Story, report_body, write_report
 from sonoservo.systems.evaluation.reports.verdict import Verdict
 from sonoservo.systems.evaluation.table import Table, cell_text
+from sonoservo.systems.files.writing import Unwritten, write_atomically
 
 _REASONS = 3  # Number of reasons of lost volumes that are shown
 
@@ -56,6 +60,30 @@ class RunResult:
             raise ValueError("the run was too short for a plot")
         _, figure = next(iter(self.plots.values()))
         return figure
+
+    def write_report(
+        self,
+        out: Path,
+        unwritten: Unwritten,
+        story: Story,
+        key_frames: Mapping[str, Figure] = MappingProxyType({}),
+    ) -> None:
+        """Write the plots, and report.html with a story; collect the errors of files."""
+        images = {}
+        for name, (caption, figure) in self.plots.items():
+            images[caption] = png(figure)
+            with unwritten.collect():
+                write_atomically(out / name, images[caption])
+        with unwritten.collect():
+            write_report(
+                out / "report.html",
+                self.summary,
+                images,
+                story=replace(story, verdict=self.verdict),
+                key_frames={caption: png(figure) for caption, figure in key_frames.items()},
+                labels=self.labels,
+                paper=self.published,
+            )
 
     def __str__(self) -> str:
         return table_text(summary_table(self))

@@ -33,7 +33,7 @@ def slide(page, name, value):
 @pytest.mark.viewport(768, 600)  # few pixels, which a page without graphics chip draws sooner
 @pytest.mark.slow
 def test_the_page_drives_the_simulation(pages, open_page, tmp_path, monkeypatch):
-    monkeypatch.setattr(KeptRun, "write", lambda *_: None)  # plots, which other tests look at
+    monkeypatch.setattr(KeptRun, "_write", lambda *_: None)  # plots, which other tests look at
     meshcat, console = pages
     seen = {}
 

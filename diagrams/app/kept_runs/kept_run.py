@@ -3,25 +3,25 @@
 import os
 import shlex
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Self
 
-from matplotlib.figure import Figure
 from pydrake.geometry import Meshcat
 
+from sonoservo.diagrams.app.run_result import RunResult
 from sonoservo.diagrams.experiments.experiment import Experiment
+from sonoservo.diagrams.experiments.presenter import Presenter
 from sonoservo.diagrams.experiments.registry import present
 from sonoservo.diagrams.experiments.scenario_changes import base_of, changed_fields
 from sonoservo.diagrams.scenario import Scenario
 from sonoservo.systems.evaluation.compile_free_clock import CompileFreeClock
 from sonoservo.systems.evaluation.explanation.explained_volume import clear_explanations
-from sonoservo.systems.evaluation.log import Log
 from sonoservo.systems.evaluation.reports.movie import write_movie
-from sonoservo.systems.evaluation.reports.plots import png
-from sonoservo.systems.evaluation.reports.report import Story, save_replay, write_report
+from sonoservo.systems.evaluation.reports.report import Story, save_replay
 from sonoservo.systems.evaluation.reports.track_plots import write_pictures
 from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
 from sonoservo.systems.files.writing import Unwritten, write_atomically, write_json
@@ -101,35 +101,38 @@ class KeptRun:
         if time.perf_counter() - self._saved > _SAVE_EVERY:
             self._save()
 
-    def summary(self, simulated: float, figures: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the content of summary.json from the simulated time in s and the run's figures."""
-        return {
+    def finish(self, experiment: Experiment[Any]) -> RunResult:
+        """Summarise a run that has ended, and write its output files."""
+        log, presenter = experiment.log(), present(experiment)
+        summary = {
             "scenario": self.scenario.name,
             "seed": self.scenario.seed,
             "version": version("sonoservo"),
             "interrupted": self.interrupted,
-            "simulated_s": simulated,
+            "simulated_s": experiment.time,
             "wall_s": self._wall,
             "compile_s": self._clock.compiled,
-            "real_time_factor": simulated / self._wall,
-            **figures,
+            "real_time_factor": experiment.time / self._wall,
+            **experiment.summarize(log),
         }
-
-    def write_summary(self, summary: Mapping[str, Any]) -> None:
-        """Write summary.json; do it first, as little time may be left to an interrupted run."""
-        if self.out is not None:
+        if self.out is not None:  # first, as little time may be left to an interrupted run
             with self.unwritten.collect():
                 write_json(self.out / "summary.json", summary)
+        result = RunResult(
+            summary=summary,
+            log=log,
+            labels=presenter.labels,
+            results=experiment.results(),
+            verdict=presenter.verdict(summary),
+            published=experiment.happened().published_figures,
+            plots=presenter.plots(log),
+        )
+        self._write(result, experiment, presenter)
+        return replace(result, failure=self.unwritten.failure)
 
-    def write(
-        self,
-        summary: Mapping[str, Any],
-        experiment: Experiment[Any],
-        log: Log,
-        plots: Mapping[str, tuple[str, Figure]],
-    ) -> None:
+    def _write(self, result: RunResult, experiment: Experiment[Any], presenter: Presenter) -> None:
         """Write pictures, plots, report.html, movie and, with a Meshcat, replay.html."""
-        presenter = present(experiment)
+        log = result.log
         if self._movie is not None:
             with self.unwritten.collect():
                 write_movie(self._movie, presenter.frames(log), presenter.frame_rate)
@@ -145,43 +148,16 @@ class KeptRun:
             links["replay.html"] = "Watch the replay in 3D"
         if self._movie is not None:
             links[os.path.relpath(self._movie, self.out)] = "Watch the movie"
-        images = {}
-        for name, (caption, figure) in plots.items():
-            images[caption] = png(figure)
-            with self.unwritten.collect():
-                write_atomically(self.out / name, images[caption])
-        with self.unwritten.collect():
-            write_report(
-                self.out / "report.html",
-                summary,
-                images,
-                story=self.story(summary, experiment, links),
-                key_frames={
-                    caption: png(figure) for caption, figure in presenter.key_frames(log).items()
-                },
-                labels=presenter.labels,
-                paper=experiment.happened().published_figures,
-            )
-
-    def story(
-        self,
-        summary: Mapping[str, Any],
-        experiment: Experiment[Any],
-        links: Mapping[str, str] | None = None,
-    ) -> Story:
-        """Return what the report tells besides figures and plots; links are texts by address."""
         base, name = base_of(self.scenario)
-        presenter = present(experiment)
-        kept = self.out is not None and experiment.repeatable
-        path = f"{self.out}/scenario.yaml" if kept else ""
-        return Story(
-            verdict=presenter.verdict(summary),
+        path = f"{self.out}/scenario.yaml"
+        story = Story(
             scenario=presenter.words(),
             base=name,
             changes=changed_fields(base, self.scenario),
-            command=shlex.join(["sonoservo", "run", path]) if path else "",
-            links=links or {},
+            command=shlex.join(["sonoservo", "run", path]) if experiment.repeatable else "",
+            links=links,
         )
+        result.write_report(self.out, self.unwritten, story, presenter.key_frames(log))
 
     def _save(self) -> None:
         if self.out is not None:

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from pydrake.math import RigidTransform
 
 from sonoservo.diagrams.app.pages.pacer import Pacer
-from sonoservo.diagrams.app.run_result import table_text
+from sonoservo.diagrams.app.run_result import RunResult, table_text
 from sonoservo.diagrams.app.terminal import mode_table
 from sonoservo.diagrams.app.volumes.calibrate import pose_error_figures
 from sonoservo.diagrams.app.volumes.estimates_table import ModeCount, estimate_row, estimates_csv
@@ -26,8 +26,8 @@ from sonoservo.systems.evaluation.explanation.explained_volume import clear_expl
 from sonoservo.systems.evaluation.labels import LABELS, recording_labels
 from sonoservo.systems.evaluation.log import columns, write_log
 from sonoservo.systems.evaluation.metrics import summarize
-from sonoservo.systems.evaluation.reports.plots import ERRORS_CAPTION, plot_errors, png
-from sonoservo.systems.evaluation.reports.report import Story, report_body, write_report
+from sonoservo.systems.evaluation.reports.plots import ERRORS_CAPTION, plot_errors
+from sonoservo.systems.evaluation.reports.report import Story
 from sonoservo.systems.evaluation.reports.track_plots import (
     PLANES_CAPTION,
     TIP_CAPTION,
@@ -53,77 +53,28 @@ if TYPE_CHECKING:
 _PICTURES = 6  # Number of volumes of a recording that the report shows
 
 
-@dataclass(frozen=True, eq=False)
-class TrackedRecording:
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class TrackedRecording(RunResult):
     """Results of tracking in a recording.
 
     `estimates` are in W, `times` in s and lengths of the needle `in_view` in m, one for each
-    volume; `rows` are those of ``estimates.csv``, in the file's own LPS in mm; `summary` has the
-    figures of summary.json. The log is like that of a run, with the truth beside the recording, if
-    any. `failure` is the error of the first file that could not be written.
+    volume; `rows` are those of ``estimates.csv``, in the file's own LPS in mm. The log is like that
+    of a run, with the truth beside the recording, if any.
     """
 
     estimates: list[NeedleEstimate]
     rows: list[dict[str, Any]]
-    summary: dict[str, Any]
-    log: RunLog
     times: Sequence[float] = ()
     in_view: Sequence[float] = ()
-    pictures: Sequence[VolumePictures] = field(default=(), repr=False)
-    failure: OSError | None = None
-
-    def plots(self) -> dict[str, tuple[str, Figure]]:
-        """Return caption and figure of each plot, by the name of its file; none if interrupted."""
-        if not self.rows:
-            return {}
-        p_LTip = 1e-3 * np.array([[row[f"tip_{axis}_mm"] for axis in "lps"] for row in self.rows])
-        tip = plot_tip(np.array(self.times), self.estimates, p_LTip, np.array(self.in_view))
-        plots = {
-            "planes.png": (PLANES_CAPTION, plot_planes(list(self.pictures))),
-            "tip.png": (TIP_CAPTION, tip),
-        }
-        if self.summary["truth"]:
-            plots["errors.png"] = ERRORS_CAPTION, plot_errors(self.log)
-        return plots
 
     def plot(self) -> Figure:
         """Return the plot of the estimated tip, which a notebook shows, if there is one."""
         if not self.rows:
             raise ValueError("no volume was tracked, so there is nothing to plot")
-        return self.plots()["tip.png"][1]
-
-    def write(self, out: Path, command: str, unwritten: Unwritten) -> None:
-        """Write the results, and the command that repeats them; collect the errors of files."""
-        with unwritten.collect():
-            write_json(out / "summary.json", self.summary)
-            write_atomically(out / "estimates.csv", estimates_csv(self.rows))
-            write_json(out / "estimates.json", self.rows)
-            write_log(out / "log.npz", self.log)
-        plots = {name: (caption, png(figure)) for name, (caption, figure) in self.plots().items()}
-        if not plots:
-            return
-        with unwritten.collect():
-            for name, (_, image) in plots.items():
-                write_atomically(out / name, image)
-            write_report(
-                out / "report.html", self.summary, dict(plots.values()),
-                story=self._story(command), labels=self._labels(),
-            )  # fmt: skip
-
-    def _story(self, command: str = "") -> Story:
-        return Story(verdict=recording_verdict(self.summary), command=command)
-
-    def _labels(self) -> dict[str, str]:
-        return recording_labels(self.summary["modes"]) | LABELS
+        return self.plots["tip.png"][1]
 
     def __str__(self) -> str:
         return table_text(mode_table(self.summary))
-
-    def __repr__(self) -> str:
-        return str(self)
-
-    def _repr_html_(self) -> str:
-        return report_body(self.summary, story=self._story(), labels=self._labels())
 
 
 def tracker_parameters(
@@ -260,11 +211,29 @@ def track_recording(
         if correct_poses:
             summary["pose_errors"] = pose_error_figures(bench.evaluate("pose_errors"))
         unwritten = Unwritten()
+        plots = {}
+        if rows:
+            p_LTip = 1e-3 * np.array([[row[f"tip_{axis}_mm"] for axis in "lps"] for row in rows])
+            tip = plot_tip(np.array(times), estimates, p_LTip, np.array(in_view))
+            plots = {
+                "planes.png": (PLANES_CAPTION, plot_planes(pictures)),
+                "tip.png": (TIP_CAPTION, tip),
+            }
+            if truth is not None:
+                plots["errors.png"] = ERRORS_CAPTION, plot_errors(log)
         result = TrackedRecording(
-            estimates, rows, summary, log, times=times, in_view=in_view, pictures=pictures
-        )
+            summary, log, recording_labels(summary["modes"]) | LABELS, plots=plots,
+            verdict=recording_verdict(summary), estimates=estimates, rows=rows, times=times,
+            in_view=in_view,
+        )  # fmt: skip
         if out is not None:
-            result.write(out, command, unwritten)
+            with unwritten.collect():
+                write_json(out / "summary.json", summary)
+                write_atomically(out / "estimates.csv", estimates_csv(rows))
+                write_json(out / "estimates.json", rows)
+                write_log(out / "log.npz", log)
+            if rows:
+                result.write_report(out, unwritten, Story(command=command))
     return replace(result, failure=unwritten.failure)
 
 
