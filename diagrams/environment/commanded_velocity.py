@@ -1,6 +1,5 @@
 """The leaf that hands an agent's velocity to the kinematics in place of the servo's."""
 
-from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import BasicVector, Context, LeafSystem
 
@@ -28,10 +27,9 @@ class CommandedVelocity(LeafSystem):
 
     def __init__(self) -> None:
         super().__init__()
-        self.DeclareVectorInputPort("planar_velocity", 3)
-        declare_inputs(self, estimate=NeedleEstimate)
-        self.DeclareAbstractInputPort("X_WP", Value(RigidTransform()))
-        self.DeclareVectorInputPort("agent_velocity", 3)
+        declare_inputs(
+            self, planar_velocity=3, estimate=NeedleEstimate, X_WP=RigidTransform, agent_velocity=3
+        )
         self.DeclareVectorOutputPort("moving_velocity", 3, self._calc_velocity)
 
     def _calc_velocity(self, context: Context, output: BasicVector) -> None:

@@ -110,11 +110,8 @@ class HandEyeCorrector(LeafSystem):
 
     def __init__(self) -> None:
         super().__init__()
-        self.DeclareAbstractInputPort("X_WP", Value(RigidTransform()))
-        declare_inputs(self, pose_errors=(PoseErrors, NotFound))
-        self.DeclareAbstractOutputPort(
-            "corrected_X_WP", lambda: Value(RigidTransform()), self._calc_pose
-        )
+        declare_inputs(self, X_WP=RigidTransform, pose_errors=(PoseErrors, NotFound))
+        declare_output(self, "corrected_X_WP", RigidTransform, self._calc_pose)
 
     def _calc_pose(self, context: Context, output: Value) -> None:
         X_WP: RigidTransform = self.GetInputPort("X_WP").Eval(context)

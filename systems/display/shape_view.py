@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, LeafSystem
 
@@ -64,9 +63,9 @@ class ShapeView(LeafSystem):
     ) -> None:
         super().__init__()
         self._screens = tuple(screens)
-        self.DeclareAbstractInputPort("X_WT", Value(RigidTransform()))
         declare_inputs(
             self,
+            X_WT=RigidTransform,
             needle=Needle,
             slice=(ImageSlice, NotFound),
             cross_section=(CrossSection, NotFound),

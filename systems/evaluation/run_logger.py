@@ -4,7 +4,6 @@ from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from pydrake.multibody.math import SpatialForce
 from pydrake.systems.framework import Context, LeafSystem
@@ -89,10 +88,11 @@ class RunLogger(LeafSystem):
         geometry: SweepGeometry | None = None,
     ) -> None:
         super().__init__()
-        for name in ("X_WP", "X_WT", "true_X_WP"):
-            self.DeclareAbstractInputPort(name, Value(RigidTransform()))
         declare_inputs(
             self,
+            X_WP=RigidTransform,
+            X_WT=RigidTransform,
+            true_X_WP=RigidTransform,
             motion_record=(MotionRecord, NotFound),
             needle=Needle,
             estimate=NeedleEstimate,
@@ -101,11 +101,11 @@ class RunLogger(LeafSystem):
             guard=GuardStatus,
             hold_reason=str,
             volume_check=VolumeCheck,
+            joint_state=2 * joints,
+            wrist_force=SpatialForce,
+            contact_force=1,
+            planar_velocity=3,
         )
-        self.DeclareVectorInputPort("joint_state", 2 * joints)
-        self.DeclareAbstractInputPort("wrist_force", Value(SpatialForce()))
-        self.DeclareVectorInputPort("contact_force", 1)
-        self.DeclareVectorInputPort("planar_velocity", 3)
         self._geometry = geometry
         self._rows = declare_memory(self, lambda: _new_rows({"2j": 2 * joints}))
         declare_looks(self, self._sample, period=period, start=self._start)

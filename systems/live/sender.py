@@ -1,7 +1,5 @@
 """The leaf that sends values over a live connection."""
 
-from pydrake.common.value import Value
-from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, LeafSystem
 
 from sonoservo.systems.live.connection.link import Link
@@ -34,12 +32,7 @@ class Sender(LeafSystem):
         require_positive(period=period)
         require_not_negative(offset=offset)
         self._outlet, self._feed = outlet, feed
-        pose = Value(RigidTransform())  # whose type Drake knows itself
-        for name, types in feed.inputs.items():
-            if types is RigidTransform:
-                self.DeclareAbstractInputPort(name, pose)
-            else:
-                declare_inputs(self, **{name: types})
+        declare_inputs(self, **feed.inputs)
         self._start()
         self.DeclareInitializationPublishEvent(publish=lambda context: self._start())
         self.DeclarePeriodicPublishEvent(period, offset, self._publish)

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
-from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, LeafSystem
 
@@ -108,10 +107,15 @@ class VolumeRecorder(LeafSystem):
         self._path, self._settings, self._sweeps = path, settings, sweeps
         self._newest: _Recording | None = None
         self._run = declare_memory(self, _Run)
-        declare_inputs(self, volume=(Volume, NotFound), sweep=(Sweep, NotFound), needle=Needle)
-        for name in ("X_WT", "true_X_WP"):
-            self.DeclareAbstractInputPort(name, Value(RigidTransform()))
-        self.DeclareVectorInputPort("contact_force", 1)
+        declare_inputs(
+            self,
+            volume=(Volume, NotFound),
+            sweep=(Sweep, NotFound),
+            needle=Needle,
+            X_WT=RigidTransform,
+            true_X_WP=RigidTransform,
+            contact_force=1,
+        )
         declare_looks(self, self._record, period=period, offset=offset, start=self._start)
         self.DeclarePeriodicPublishEvent(truth_period, 0.0, self._note_truth)
 

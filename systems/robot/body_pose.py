@@ -5,6 +5,8 @@ from pydrake.math import RigidTransform
 from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.framework import Context, LeafSystem
 
+from sonoservo.systems.signals.ports import declare_output
+
 
 class BodyPose(LeafSystem):
     """Selects the pose of one body of a plant.
@@ -29,12 +31,7 @@ class BodyPose(LeafSystem):
         super().__init__()
         self._body = int(body)
         self._poses = self.DeclareAbstractInputPort("body_poses", Value[list[RigidTransform]]())
-        self.DeclareAbstractOutputPort(
-            "pose",
-            lambda: Value(RigidTransform()),
-            self._calc_pose,
-            prerequisites_of_calc={self._poses.ticket()},
-        )
+        declare_output(self, "pose", RigidTransform, self._calc_pose, {self._poses.ticket()})
 
     def _calc_pose(self, context: Context, output: Value) -> None:
         output.set_value(self._poses.Eval(context)[self._body])

@@ -1,13 +1,12 @@
 """Leaf system that outputs the true contact force between probe and phantom."""
 
 import numpy as np
-from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import ContactResults
 from pydrake.systems.framework import BasicVector, Context, LeafSystem
 
 from sonoservo.systems.signals.body_surface import BodySurface
-from sonoservo.systems.signals.ports import evaluate
+from sonoservo.systems.signals.ports import declare_inputs, evaluate
 
 
 def normal_force(
@@ -54,8 +53,7 @@ class ContactForce(LeafSystem):
     def __init__(self, *, surface: BodySurface | None = None) -> None:
         super().__init__()
         self._surface = surface
-        self.DeclareAbstractInputPort("contact_results", Value[ContactResults]())
-        self.DeclareAbstractInputPort("X_WT", Value(RigidTransform()))
+        declare_inputs(self, contact_results=ContactResults, X_WT=RigidTransform)
         self.DeclareVectorOutputPort("contact_force", 1, self._calc_contact_force)
 
     def _calc_contact_force(self, context: Context, output: BasicVector) -> None:

@@ -7,6 +7,7 @@ from pydrake.multibody.tree import JointIndex, MultibodyForces
 from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSystem, State
 
 from sonoservo.systems.signals.leaves import declare_memory
+from sonoservo.systems.signals.ports import declare_output
 from sonoservo.systems.signals.requirements import require_not_negative, require_positive
 
 
@@ -56,14 +57,8 @@ class ExternalTorque(LeafSystem):
         self._state = self.DeclareVectorInputPort("joint_state", 2 * n)
         self._motors = self.DeclareVectorInputPort("motor_torque", n)
         self._before = self.DeclareDiscreteState(np.full(n, np.nan))  # velocities
-        self.DeclareVectorOutputPort(
-            "external_torque",
-            n,
-            self._calc_external_torque,
-            prerequisites_of_calc={
-                self.all_input_ports_ticket(), self.xd_ticket(), self.time_ticket()
-            },
-        )  # fmt: skip
+        tickets = self.all_input_ports_ticket(), self.xd_ticket(), self.time_ticket()
+        declare_output(self, "external_torque", n, self._calc_external_torque, tickets)
         # The plant steps in such an event too, and both see the state before it: the velocities
         # kept here are those of the step before, whoever evaluates the output.
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0, self._update)

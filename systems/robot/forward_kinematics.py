@@ -7,6 +7,7 @@ from pydrake.multibody.tree import Frame
 from pydrake.systems.framework import Context, LeafSystem
 
 from sonoservo.systems.signals.leaves import declare_memory
+from sonoservo.systems.signals.ports import declare_output
 
 
 class ForwardKinematics(LeafSystem):
@@ -36,12 +37,7 @@ class ForwardKinematics(LeafSystem):
         self._plant, self._frame = plant, frame
         self._scratch = declare_memory(self, plant.CreateDefaultContext)
         state = self.DeclareVectorInputPort("joint_state", 2 * plant.num_positions())
-        self.DeclareAbstractOutputPort(
-            "pose",
-            lambda: Value(RigidTransform()),
-            self._calc_pose,
-            prerequisites_of_calc={state.ticket()},
-        )
+        declare_output(self, "pose", RigidTransform, self._calc_pose, {state.ticket()})
 
     def _calc_pose(self, context: Context, output: Value) -> None:
         positions = self.get_input_port().Eval(context)[: self._plant.num_positions()]

@@ -16,6 +16,7 @@ from sonoservo.systems.robot.phantom_motion import (
     phantom_trajectory,
 )
 from sonoservo.systems.signals.immutable import Immutable
+from sonoservo.systems.signals.ports import declare_output
 
 # Highest mean speeds along x, y, z in m/s, and in roll, pitch and yaw in deg/s.
 _SPEED = (0.04, 0.04, 0.015, 30.0, 30.0, 30.0)
@@ -63,12 +64,8 @@ class OperatorPhantomMotion(LeafSystem):
         self._X_WT, self._breathing = X_WT, breathing or Breathing()
         self.DeclareVectorInputPort("phantom_target", 4)
         self.DeclareAbstractState(Value[object](self._driven(())))
-        self.DeclareVectorOutputPort(
-            "phantom_command",
-            12,
-            self._calc_phantom_command,
-            prerequisites_of_calc={self.time_ticket(), self.xa_ticket()},
-        )
+        tickets = self.time_ticket(), self.xa_ticket()
+        declare_output(self, "phantom_command", 12, self._calc_phantom_command, tickets)
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._update)
 
     def moves(self, context: Context) -> list[Move]:

@@ -5,6 +5,7 @@ from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, LeafSystem
 
+from sonoservo.systems.signals.ports import declare_output
 from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
 
 
@@ -67,12 +68,7 @@ class ProbeStepper(LeafSystem):
             along = np.array([np.cos(direction), np.sin(direction)])
             self._shifts += np.outer(breathing * np.sin(turns + phase) ** 2, along)
         for name, calc in (("X_WP", self._calc_probe), ("X_WT", self._calc_tissue)):
-            self.DeclareAbstractOutputPort(
-                name,
-                lambda: Value(RigidTransform()),
-                calc,
-                prerequisites_of_calc={self.time_ticket()},
-            )
+            declare_output(self, name, RigidTransform, calc, {self.time_ticket()})
 
     def _number(self, context: Context) -> int:
         """Return the number of the slice that is due."""

@@ -11,6 +11,7 @@ from pydrake.multibody.math import SpatialForce
 from pydrake.multibody.tree import JointIndex
 from pydrake.systems.framework import Context, LeafSystem
 
+from sonoservo.systems.signals.ports import declare_output
 from sonoservo.systems.signals.requirements import (
     Bound,
     Bounded,
@@ -94,12 +95,8 @@ class WristForceSensor(LeafSystem):
         self._reaction_forces = self.DeclareAbstractInputPort(
             "reaction_forces", Value[list[SpatialForce]]()
         )
-        self.DeclareAbstractOutputPort(
-            "wrist_force",
-            lambda: Value(SpatialForce.Zero()),
-            self._calc_wrist_force,
-            prerequisites_of_calc={self.all_input_ports_ticket(), self.time_ticket()},
-        )
+        tickets = self.all_input_ports_ticket(), self.time_ticket()
+        declare_output(self, "wrist_force", SpatialForce, self._calc_wrist_force, tickets)
 
     def _calc_wrist_force(self, context: Context, output: Value) -> None:
         reaction = self._reaction_forces.Eval(context)[self._wrist]

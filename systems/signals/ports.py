@@ -1,14 +1,15 @@
-"""Abstract ports that know the types of their values.
+"""Ports that know the types of their values.
 
-Drake sees ``Value[object]`` on every wire that carries a Python object, and connects any two of
-them. A port declared here states its types in its model value, which diagrams hand on with the
-ports they export; `DiagramBuilder` compares them when it connects.
+Drake knows the size of a vector and its own types. It sees ``Value[object]`` on every wire that
+carries a Python object, and connects any two of them. A port of such objects declared here states
+its types in its model value, which diagrams hand on with the ports they export; `DiagramBuilder`
+compares them when it connects.
 """
 
 from collections.abc import Callable, Iterable
 from typing import Any, TypeVar, overload
 
-from pydrake.common.value import Value
+from pydrake.common.value import AbstractValue, Value
 from pydrake.systems import framework
 from pydrake.systems.framework import (
     AbstractStateIndex,
@@ -25,30 +26,37 @@ U = TypeVar("U")
 Types = type | tuple[type, ...]
 
 
-def declare_inputs(system: LeafSystem, **types: Types) -> None:
-    """Declare abstract input ports by name, each with the type or types that it accepts."""
+def _model(types: Types) -> AbstractValue:
+    """Return the model value of an abstract port: of Drake's own type, or the types of objects."""
+    drakes = isinstance(types, type) and types.__module__.startswith("pydrake.")
+    return Value(types()) if drakes else Value[object](types)
+
+
+def declare_inputs(system: LeafSystem, **types: Types | int) -> None:
+    """Declare input ports by name: the type or types that each accepts, or the size of a vector."""
     for name, accepted in types.items():
-        system.DeclareAbstractInputPort(name, Value[object](accepted))
+        if isinstance(accepted, int):
+            system.DeclareVectorInputPort(name, accepted)
+        else:
+            system.DeclareAbstractInputPort(name, _model(accepted))
 
 
 def declare_output(
     system: LeafSystem,
     name: str,
-    types: Types,
+    types: Types | int,
     calc: Callable[[Context, Any], None],
     prerequisites: Iterable[Any] | None = None,
 ) -> OutputPort:
-    """Declare an abstract output port that gives Python objects of a type or types.
+    """Declare an output port that gives values of a type or types, or a vector of a size.
 
     The callback sets the port's value. Prerequisites are the tickets of all that it depends on;
     every source if None.
     """
-    allocate = Value[object](types).Clone
-    if prerequisites is None:
-        return system.DeclareAbstractOutputPort(name, allocate, calc)
-    return system.DeclareAbstractOutputPort(
-        name, allocate, calc, prerequisites_of_calc=set(prerequisites)
-    )
+    tickets = {} if prerequisites is None else {"prerequisites_of_calc": set(prerequisites)}
+    if isinstance(types, int):
+        return system.DeclareVectorOutputPort(name, types, calc, **tickets)
+    return system.DeclareAbstractOutputPort(name, _model(types).Clone, calc, **tickets)
 
 
 def declare_state_output(

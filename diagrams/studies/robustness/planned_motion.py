@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from pydrake.common.value import Value
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Diagram, LeafSystem, System
@@ -32,7 +31,7 @@ from sonoservo.systems.robot.errors.calibration import hand_eye_error
 from sonoservo.systems.robot.errors.pose_delay import PoseDelay
 from sonoservo.systems.robot.phantom_motion import phantom_trajectory
 from sonoservo.systems.signals.body_surface import BodySurface
-from sonoservo.systems.signals.ports import DiagramBuilder
+from sonoservo.systems.signals.ports import DiagramBuilder, declare_output
 from sonoservo.systems.signals.sweep import SweepGeometry
 from sonoservo.systems.signals.volume import Volume
 from sonoservo.systems.ultrasound.simulation.tissue import load_tissue
@@ -120,11 +119,12 @@ class PlannedMotion(LeafSystem):
             ("X_WT", plan.phantom),
             ("calibrated_X_WP", self._calibrated),
         ):
-            self.DeclareAbstractOutputPort(
+            declare_output(
+                self,
                 name,
-                lambda: Value(RigidTransform()),
+                RigidTransform,
                 lambda context, output, pose=pose: output.set_value(pose(context.get_time())),
-                prerequisites_of_calc={self.time_ticket()},
+                {self.time_ticket()},
             )
 
     def _calibrated(self, time: float) -> RigidTransform:

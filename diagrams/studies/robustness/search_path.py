@@ -2,7 +2,6 @@
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import BasicVector, Context, LeafSystem
 
@@ -37,9 +36,7 @@ class SearchPath(LeafSystem):
     def __init__(self, *, station: StationParameters, start: float) -> None:
         super().__init__()
         self._station, self._start = station, start
-        self.DeclareVectorInputPort("planar_velocity", 3)
-        declare_inputs(self, estimate=NeedleEstimate)
-        self.DeclareAbstractInputPort("X_WP", Value(RigidTransform()))
+        declare_inputs(self, planar_velocity=3, estimate=NeedleEstimate, X_WP=RigidTransform)
         self.DeclareVectorOutputPort("moving_velocity", 3, self._calc_velocity)
 
     def _calc_velocity(self, context: Context, output: BasicVector) -> None:

@@ -4,7 +4,6 @@ from collections import deque
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, LeafSystem
 
@@ -61,19 +60,19 @@ class ConsoleFeed(LeafSystem):
         super().__init__()
         self._console = console
         self._start()
-        for name in ("X_WP", "X_WT"):
-            self.DeclareAbstractInputPort(name, Value(RigidTransform()))
         declare_inputs(
             self,
+            X_WP=RigidTransform,
+            X_WT=RigidTransform,
             volume=(Volume, NotFound),
             needle=Needle,
             estimate=NeedleEstimate,
             guard=GuardStatus,
             hold_reason=str,
             lines=(LineHypotheses, NotFound),
+            contact_force=1,
+            force_target=1,
         )
-        for name in ("contact_force", "force_target"):
-            self.DeclareVectorInputPort(name, 1)
         declare_looks(self, self._show, period=period, offset=offset, start=self._start)
         declare_looks(self, self._sample, period=_SAMPLING)
 

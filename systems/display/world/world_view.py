@@ -1,7 +1,6 @@
 """The leaf that draws the needle, its estimate and the ultrasound slices in Meshcat."""
 
 import numpy as np
-from pydrake.common.value import Value
 from pydrake.geometry import Meshcat
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, LeafSystem
@@ -104,16 +103,16 @@ class WorldView(LeafSystem):
         super().__init__()
         require(film_frames >= 0, "film_frames", film_frames, "0 or more")
         self._meshcat, self._path, self._film_frames = meshcat, path, film_frames
-        self.DeclareAbstractInputPort("X_WP", Value(RigidTransform()))
-        self.DeclareAbstractInputPort("X_WT", Value(RigidTransform()))
         declare_inputs(
             self,
+            X_WP=RigidTransform,
+            X_WT=RigidTransform,
             needle=Needle,
             estimate=NeedleEstimate,
             volume=(Volume, NotFound),
             guard=GuardStatus,
+            contact_force=1,
         )
-        self.DeclareVectorInputPort("contact_force", 1)
         self._start()
         declare_looks(self, self._publish, period=_PERIOD, start=self._start)
 

@@ -8,7 +8,7 @@ from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from sonoservo.systems.signals.immutable import Immutable
-from sonoservo.systems.signals.ports import evaluate
+from sonoservo.systems.signals.ports import declare_inputs, declare_output, evaluate
 from sonoservo.systems.signals.random_streams import random_stream
 from sonoservo.systems.signals.requirements import (
     Bounded,
@@ -73,11 +73,9 @@ class PoseDelay(LeafSystem):
         require_not_negative(seed=seed)
         self._parameters, self._period, self._seed = parameters, period, seed
         self._kept = math.ceil((parameters.delay + 6 * parameters.jitter) / period) + 2
-        self.DeclareAbstractInputPort("pose", Value(RigidTransform()))
+        declare_inputs(self, pose=RigidTransform)
         self._poses = self.DeclareAbstractState(Value[object](_Poses()))
-        self.DeclareAbstractOutputPort(
-            "delayed_pose", lambda: Value(RigidTransform()), self._calc_delayed_pose
-        )
+        declare_output(self, "delayed_pose", RigidTransform, self._calc_delayed_pose)
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._update_poses)
 
     def _step(self, time: float) -> int:

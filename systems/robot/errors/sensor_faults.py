@@ -17,7 +17,7 @@ from pydrake.systems.framework import (
 )
 
 from sonoservo.systems.robot.wrist_force_sensor import Finite
-from sonoservo.systems.signals.ports import evaluate
+from sonoservo.systems.signals.ports import declare_inputs, declare_output, evaluate
 from sonoservo.systems.signals.requirements import (
     Bounded,
     PositiveTime,
@@ -106,18 +106,10 @@ class SensorFaults(LeafSystem):
         require_not_negative(noise=noise)
         super().__init__()
         self._faults, self._period, self._noise = list(faults), period, noise
-        self.DeclareAbstractInputPort("wrist_force", Value(SpatialForce()))
+        declare_inputs(self, wrist_force=SpatialForce)
         self.DeclareDiscreteState(6)  # the last sample before a fault
-        self.DeclareAbstractOutputPort(
-            "wrist_force",
-            lambda: Value(SpatialForce.Zero()),
-            self._calc_wrist_force,
-            prerequisites_of_calc={
-                self.all_input_ports_ticket(),
-                self.time_ticket(),
-                self.xd_ticket(),
-            },
-        )
+        tickets = self.all_input_ports_ticket(), self.time_ticket(), self.xd_ticket()
+        declare_output(self, "wrist_force", SpatialForce, self._calc_wrist_force, tickets)
         self.DeclarePeriodicDiscreteUpdateEvent(period, 0, self._update)
 
     def _fault(self, time: float) -> SensorFault | None:
