@@ -34,6 +34,7 @@ def test_an_end_at_any_moment_leaves_readable_files_and_no_process():
     assert result.returncode == 0, result.stdout + result.stderr
 
 
+@pytest.mark.slow
 def test_the_engine_notices_what_is_wrong():
     result = python("-m", "fuzzing.misbehaviour")
     wanted = ["refused", "bug", "message", "memory", "memory", "died", "wrong", "good"]

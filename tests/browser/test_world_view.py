@@ -98,6 +98,7 @@ def is_violet(colours):
     return np.minimum(colours[..., 0], colours[..., 2]) - colours[..., 1] > 50
 
 
+@pytest.mark.slow
 def test_pages_that_come_and_go_change_nothing(run):
     alone = Run()
     assert run.times == alone.times

@@ -232,18 +232,6 @@ def test_a_tracker_may_take_another_s_filter(volumes):
         Chatelain2013TrackerParameters(order=3, filter=AxisTipFilter())
 
 
-def test_an_estimate_is_there_before_the_next_volume_is_made():
-    made = []
-
-    def live():
-        for number in range(3):
-            made.append(number)
-            yield SCENE.volume(number)
-
-    for count, _ in enumerate(track(live()), start=1):
-        assert len(made) == count
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -254,11 +242,6 @@ def test_an_estimate_is_there_before_the_next_volume_is_made():
 def test_what_is_no_volumes_or_no_parameters_is_a_sentence(arguments, message):
     with pytest.raises(ConfigurationError, match=message):
         track(arguments[0], parameters=arguments[1] if len(arguments) > 1 else None)
-
-
-def test_a_value_that_is_no_volume_names_the_port():
-    with pytest.raises(TypeError, match=r"port 'volume' of .* received a value of type ndarray"):
-        next(track([np.zeros((3, 3, 3))]))
 
 
 def test_a_custom_tracker_needs_a_tracker_s_ports():

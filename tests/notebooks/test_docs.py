@@ -27,7 +27,6 @@ PAGES = [
     *sorted(ROOT.glob("systems/*/README.md")),
     ROOT / "models" / "README.md",
 ]
-MOST_LINES_OF_README = 120
 
 
 def blocks(path, language):
@@ -44,11 +43,6 @@ def commands(name=""):
                 words = shlex.split(line, comments=True)
                 if words[:1] == ["sonoservo"]:
                     yield pytest.param(words[1:], id=f"{path.stem}: {' '.join(words[1:4])}")
-
-
-def test_the_front_page_is_short():
-    lines = (ROOT / "README.md").read_text(encoding="utf-8").count("\n")
-    assert lines <= MOST_LINES_OF_README
 
 
 @pytest.mark.parametrize("path", PAGES, ids=lambda path: f"{path.parent.name}/{path.name}")

@@ -42,11 +42,6 @@ def test_every_cell_runs_and_shows_what_it_ends_with(script, monkeypatch, capsys
     gc.collect()  # Drake aborts where a Meshcat ends on another thread than its own
 
 
-def test_there_are_eight():
-    assert len(SCRIPTS) == 8
-    assert [path.with_suffix(".ipynb") for path in SCRIPTS] == sorted(NOTEBOOKS.glob("*.ipynb"))
-
-
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.stem)
 def test_script_and_notebook_hold_the_same_cells(script):
     written, made = (jupytext.read(path) for path in (script, script.with_suffix(".ipynb")))

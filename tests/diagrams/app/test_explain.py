@@ -143,11 +143,6 @@ def test_without_a_folder_nothing_can_be_explained():
         run(load_scenario("chatelain2013_fig4"), explain=True)
 
 
-def test_an_experiment_that_cannot_explain_says_so(tmp_path):
-    with pytest.raises(ConfigurationError, match="explain: not possible in the experiment"):
-        run(load_scenario("carriere2016_d60"), explain=True, out=tmp_path)
-
-
 def test_without_the_log_the_truth_is_not_known(kept, tmp_path):
     out, _ = kept
     (tmp_path / FOLDER).mkdir()

@@ -1,6 +1,5 @@
 """The environment: Gymnasium's own check, repetition bit for bit, ends, and vectors."""
 
-import subprocess
 import sys
 from collections import Counter
 from functools import partial
@@ -11,6 +10,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from pydrake.math import RigidTransform
 
+from sonoservo.diagrams import environment
 from sonoservo.diagrams.environment.follow_needle import ENVIRONMENT
 from sonoservo.diagrams.environment.reward import ActionScale, RewardParameters, reward_terms
 from sonoservo.systems.files.refusals import ConfigurationError
@@ -98,6 +98,7 @@ def test_ten_thousand_random_actions_end_in_no_error(seed):
     assert largest < 10  # the guard's limit
 
 
+@pytest.mark.slow
 def test_environments_run_in_processes_of_their_own_found_by_the_room_s_name():
     vector = gymnasium.vector.AsyncVectorEnv([make, make], context="spawn")
     try:
@@ -133,12 +134,8 @@ def test_a_wrong_argument_is_refused():
         make(observation="pixels")
 
 
-def test_without_gymnasium_a_line_says_what_to_install():
-    code = (
-        "import sys; sys.modules['gymnasium'] = None\n"
-        "from sonoservo.diagrams import environment\n"
-        "try: environment.FollowNeedle\n"
-        "except ValueError as error: print(error)"
-    )
-    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert "pip install 'sonoservo[gym]'" in said.stdout, said.stderr
+def test_without_gymnasium_a_line_says_what_to_install(monkeypatch):
+    monkeypatch.delitem(sys.modules, "sonoservo.diagrams.environment.follow_needle")
+    monkeypatch.setitem(sys.modules, "gymnasium", None)
+    with pytest.raises(ConfigurationError, match=r"pip install 'sonoservo\[gym\]'"):
+        environment.FollowNeedle  # noqa: B018

@@ -147,11 +147,6 @@ def test_a_needle_that_is_in_view_from_the_start_is_found_anywhere(tmp_path):
     assert found.summary["tracking"]["tip_error_mm"]["median"] < 2
 
 
-def test_a_start_that_does_not_exist_is_refused():
-    with pytest.raises(ConfigurationError, match=r"start: 'nowhere' .* 'search' or 'anywhere'"):
-        load_scenario("chatelain2013_fig5", changes=["tracker.start=nowhere"])
-
-
 def test_the_probe_stays_on_a_curved_body_and_finds_the_needle(tmp_path):
     """On a limb, 15 mm beside its apex, with the face along the skin."""
     text = """phantom: limb

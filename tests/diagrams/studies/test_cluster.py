@@ -122,6 +122,7 @@ def test_a_case_that_ends_its_worker_is_a_failure_and_its_neighbours_are_none(cl
     assert len(list(seen.glob("9_*"))) == 2
 
 
+@pytest.mark.slow
 def test_a_case_that_takes_too_long_runs_again_and_leaves_nothing(client, tmp_path):
     client.wait_for_workers(2, timeout=60)
     cluster = Cluster(client, limit=1)
@@ -130,12 +131,14 @@ def test_a_case_that_takes_too_long_runs_again_and_leaves_nothing(client, tmp_pa
     wait_for(lambda: sum(lives(process) for process, _ in reported(tmp_path)) <= 1, 10)
 
 
+@pytest.mark.slow
 def test_workers_make_way_for_others_after_ten_cases(cluster, tmp_path):
     assert all(run_cases(count, cases(30, tmp_path), tmp_path / "out", cluster=cluster))
     workers = {process for process, _ in reported(tmp_path)}
     wait_for(lambda: not all(lives(process) for process in workers))
 
 
+@pytest.mark.slow
 def test_ctrl_c_leaves_no_case_running(cluster, tmp_path):
     def interrupt():
         wait_for(lambda: len(reported(tmp_path)) == 2)
@@ -147,6 +150,7 @@ def test_ctrl_c_leaves_no_case_running(cluster, tmp_path):
     wait_for(lambda: not any(lives(process) for process, _ in reported(tmp_path)), 20)
 
 
+@pytest.mark.slow
 def test_a_worker_with_another_package_gets_no_cases(processes, client, tmp_path):
     package = tmp_path / "sonoservo"
     for part in ("systems", "models"):
@@ -177,6 +181,7 @@ def test_work_that_no_worker_can_load_is_refused(cluster, tmp_path, monkeypatch)
         run_cases(work, cases(1), tmp_path / "out", cluster=cluster)
 
 
+@pytest.mark.slow
 def test_after_the_scheduler_s_death_the_rest_is_done_elsewhere(processes, client, tmp_path):
     """The last test: the shared cluster is gone after it."""
     seen, out = tmp_path / "seen", tmp_path / "out"

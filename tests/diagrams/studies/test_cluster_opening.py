@@ -1,7 +1,6 @@
 """Clusters named by a text: addresses, numbers and files of job queues, right and wrong."""
 
 import os
-import signal
 import sys
 
 import pytest
@@ -68,19 +67,6 @@ def test_a_job_queue_is_read(tmp_path):
     script = job_queue.kind(**job_queue.arguments, scheduler_options={"port": 0}).job_script()
     for line in ("-p normal", "--exclusive", "-t 02:00:00", "--cpus-per-task=8"):
         assert line in script
-
-
-def test_reading_a_job_queue_leaves_ctrl_c_as_it_is(tmp_path, monkeypatch):
-    for name in [*sys.modules]:
-        if name.partition(".")[0] == "dask_jobqueue":
-            monkeypatch.delitem(sys.modules, name)
-    (tmp_path / "slurm.yaml").write_text(SLURM)
-    before = signal.getsignal(signal.SIGINT)
-    try:
-        read_job_queue(tmp_path / "slurm.yaml")
-        assert signal.getsignal(signal.SIGINT) is before
-    finally:
-        signal.signal(signal.SIGINT, before)
 
 
 @pytest.mark.parametrize(

@@ -69,23 +69,6 @@ def test_slices_show_the_needle_in_mm(found):
     }
 
 
-def test_candidates_inliers_and_region(found):
-    _, beam, _, _, _ = draw(found)
-    candidates, inliers = beam.collections[:2]
-    assert len(candidates.get_offsets()) == len(found.candidates)
-    np.testing.assert_allclose(np.sort(found.weights), candidates.get_array())
-    assert len(inliers.get_offsets()) == found.inliers.sum() > 10
-    (region,) = [each for each in beam.patches if each.get_label() == "region searched"]
-    outline = region.get_xy()
-    curve = 1e3 * NEEDLE
-    width = np.linalg.norm(outline[0] - outline[-2])
-    np.testing.assert_allclose(width, 2e3 * found.region_radius, rtol=1e-3)
-    reach = 30 + 1e3 * (found.region_before + found.region_beyond)
-    shown = np.linalg.norm(curve[1] - curve[0]) / 30 * reach
-    np.testing.assert_allclose(np.linalg.norm(outline[30] - outline[0]), shown, rtol=0.02)
-    assert "true needle (truth)" not in labels(beam)
-
-
 def test_the_ellipse_has_the_tip_with_95_percent(found):
     _, beam, _, _, _ = draw(found)
     (ellipse,) = [each for each in beam.patches if isinstance(each, Ellipse)]

@@ -1,7 +1,5 @@
 """Insertions through a template, and what they share with a hand's."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from bicycle_model import BicyclePath
@@ -157,20 +155,6 @@ def test_rotations_are_not_where_they_were_planned_and_draw_no_other_number():
     a, b = (path.positions(distances) for path in (planned, real))
     np.testing.assert_allclose(a[before], b[before], atol=1e-12)
     assert np.linalg.norm(a[-1] - b[-1]) > 0.1e-3
-
-
-def test_an_angle_s_error_bends_the_needle_out_of_its_plane():
-    path = make(seed=4, rotations=[0.06]).path
-    turned = replace(path, turn_errors=(np.pi / 2,))
-    # Half a turn more than a quarter: the second arc bends across the first one's plane.
-    end = turned.positions(np.array([0.14]))[0, 1:]
-    plane = np.array([np.cos(path.roll), np.sin(path.roll)])
-    across = plane[0] * end[1] - plane[1] * end[0]
-    assert abs(across) == pytest.approx(0.08**2 / (2 * path.radius), rel=0.02)
-    assert np.allclose(
-        replace(path, turn_errors=(0.0,)).positions(np.array([0.14])),
-        path.positions(np.array([0.14])),
-    )
 
 
 def test_the_plane_of_the_bend_drifts_at_a_constant_rate():

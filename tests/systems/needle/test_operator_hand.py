@@ -4,11 +4,8 @@ from pydrake.systems.analysis import Simulator
 
 from sonoservo.systems.needle.hand import (
     SPEED,
-    TURNING_DEG,
     OperatorHand,
-    OperatorInsertion,
     appended,
-    next_push,
 )
 from sonoservo.systems.needle.insertion import Insertion
 from sonoservo.systems.needle.insertion_parameters import InsertionParameters, Push
@@ -90,14 +87,6 @@ def test_a_straight_needle_is_aimed_anew_once_it_is_withdrawn_to_20_mm():
     again = make_insertion(insertion.parameters.pushes, **straight)
     for time, needle in zip(times, seen, strict=True):
         np.testing.assert_allclose(again.needle(time).shaft, needle.shaft, rtol=0, atol=1e-12)
-
-
-@pytest.mark.parametrize("depth", [1e9, -1e9])
-def test_no_target_makes_it_faster_than_it_can(depth):
-    driven = OperatorInsertion(make_insertion([]))
-    push = next_push(driven, np.array([depth, 1e9, 0, 0]), 0.0)
-    assert abs(push.speed) == SPEED
-    assert push.turning_deg == TURNING_DEG
 
 
 def test_equal_pushes_become_one():

@@ -48,8 +48,7 @@ def slide(surface, *, friction=0.0, velocity=(0, 0, 0), y=0.0):
     return force * -np.sign(force @ normal), normal_force(results, X_WT, surface), normal
 
 
-@pytest.mark.parametrize("surface", [BOX, LIMB, ABDOMEN], ids=lambda each: each.shape)
-@pytest.mark.parametrize("friction", [0.02, 0.3])
+@pytest.mark.parametrize(("surface", "friction"), [(BOX, 0.3), (LIMB, 0.02), (ABDOMEN, 0.3)])
 def test_a_sliding_probe_drags_by_coulomb_s_share_of_its_force(surface, friction):
     """The contact is a bowl, not a plane, whose slopes add up to 4 % more to the friction."""
     (to, pressed, _), (fro, _, _) = (
@@ -59,9 +58,8 @@ def test_a_sliding_probe_drags_by_coulomb_s_share_of_its_force(surface, friction
     assert abs(to[0] - fro[0]) / 2 == pytest.approx(friction * pressed, rel=0.04)
 
 
-@pytest.mark.parametrize("speed", [1e-6, 1e-5, 1e-4])
-def test_a_creeping_probe_drags_by_no_more(speed):
-    force, pressed, _ = slide(BOX, friction=0.3, velocity=(speed, 0.0, 0.0))
+def test_a_creeping_probe_drags_by_no_more():
+    force, pressed, _ = slide(BOX, friction=0.3, velocity=(1e-5, 0.0, 0.0))
     assert np.hypot(*force[:2]) <= 0.3 * pressed * 1.04
 
 

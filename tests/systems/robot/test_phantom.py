@@ -51,16 +51,6 @@ def test_contact_loads_from_the_phantoms_file(tmp_path):
         load_contact(str(path))
 
 
-def test_stage_is_driven_in_the_order_of_the_command():
-    plant, scene_graph = MultibodyPlant(time_step=0.001), SceneGraph()
-    plant.RegisterAsSourceForSceneGraph(scene_graph)
-    phantom = AddPhantom(plant, scene_graph, surface=BodySurface(SIZE))
-    plant.Finalize()
-    actuators = plant.GetJointActuatorIndices(phantom.model_instance)
-    joints = [plant.get_joint_actuator(index).joint().name() for index in actuators]
-    assert joints == ["x", "y", "z", "roll", "pitch", "yaw"]
-
-
 def test_motion_gives_position_and_velocity():
     trajectory = PiecewisePolynomial.FirstOrderHold(
         [0, 2], np.array([np.zeros(6), np.arange(6.0)]).T

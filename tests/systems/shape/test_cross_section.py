@@ -213,16 +213,6 @@ def test_localizer_finds_again_what_was_found_and_looks_at_a_slice_once():
     assert np.allclose(localize(track, far, SLANTED).centre, [6e-3, 0.025], atol=0.1e-3)
 
 
-def test_localizer_has_no_state_and_says_what_it_waits_for():
-    localizer = CrossSectionLocalizer(parameters=PARAMETERS)
-    context = localizer.CreateDefaultContext()
-    assert context.is_stateless()
-    assert localize(CrossSectionTrack(), NotFound("no slice")).reason == "no slice yet"
-    assert "being compared" in localize(CrossSectionTrack(), picture([0.0, 0.025])).reason
-    with pytest.raises(TypeError, match="cross_section_track"):
-        localize(NotFound("wrong"), picture())
-
-
 def test_the_printed_position_is_the_match_s_and_the_click_is_taken_as_it_is():
     printed = CrossSectionParameters(position="match", deviations="both", min_correlation=0.0)
     axis, click = np.array([0.0, 0.025]), np.array([0.4e-3, 0.0253])

@@ -170,13 +170,6 @@ def test_slices_without_needle_beyond_the_limit_or_seen_before_change_nothing(na
     assert np.array_equal(missing[-1].tip, missing[-2].tip)
 
 
-@pytest.mark.parametrize("name", ALL)
-def test_there_is_no_shape_before_the_first_cross_section(name):
-    (shape,) = estimate(name, [[np.nan] * 3], depth=0.1)
-    assert isinstance(shape, NotFound)
-    assert shape.reason == "no echo"
-
-
 def test_frame_may_be_given_before_the_needle_is_seen():
     path = BicyclePath(radius=1.2, angle=0.03, rotations=(0.04,))
     points = measured(path, np.arange(5e-3, 0.0401, 0.5e-3), 5e-6)

@@ -102,11 +102,6 @@ def test_the_same_volumes_give_the_same_bits():
         np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
 
 
-def test_before_any_volume_there_are_no_lines():
-    assert LineBelief().time == -np.inf
-    assert len(LineBelief().lines) == 0
-
-
 def test_leaf_follows_only_while_nothing_is_tracked():
     leaf = LineFollower(period=1.0)
     context = leaf.CreateDefaultContext()

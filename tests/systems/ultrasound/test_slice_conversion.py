@@ -5,7 +5,6 @@ import pytest
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 
-from sonoservo.systems.signals.image_slice import ImageSlice
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.sweep import Sweep, SweepGeometry, SweepMotion
 from sonoservo.systems.ultrasound.slice_converter import SliceConversion, SliceConverter
@@ -62,28 +61,6 @@ def test_beams_come_from_the_arrays_centre():
 def test_sweeps_of_many_frames_are_refused():
     with pytest.raises(ValueError, match="frames: 3"):
         SliceConversion(replace(GEOMETRY, frames=3), 0.2e-3)
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"intensities": np.zeros((2, 5), np.uint8)}, "intensities"),
-        ({"spacing": [1e-4, 0.0]}, "spacing"),
-        ({"origin": [0.0]}, "origin"),
-        ({"time": np.nan}, "time"),
-    ],
-)
-def test_bad_slices_are_refused(changes, message):
-    good = {
-        "intensities": np.zeros((5, 5), np.uint8),
-        "origin": [0.0, 0.0],
-        "spacing": [1e-4, 1e-4],
-        "X_WP": RigidTransform(),
-        "time": 0.0,
-    }
-    ImageSlice(**good)
-    with pytest.raises(ValueError, match=message):
-        ImageSlice(**{**good, **changes})
 
 
 def test_the_converter_passes_on_that_there_is_none_and_converts_what_there_is():

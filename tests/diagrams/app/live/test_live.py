@@ -22,8 +22,7 @@ from sonoservo.diagrams.app.cli import run_arguments
 from sonoservo.diagrams.app.live.bridge import play_live, record_live
 from sonoservo.diagrams.app.live.serve import live_senders, needle_names
 from sonoservo.diagrams.app.live.track_live import live_volumes, track_live
-from sonoservo.diagrams.app.options import LiveLimits, ReadingFrames
-from sonoservo.diagrams.app.volumes.opening import live_maker
+from sonoservo.diagrams.app.options import LiveLimits
 from sonoservo.diagrams.app.volumes.track import tracker_parameters
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.live.connection.address import parse_address
@@ -275,19 +274,6 @@ def test_names_of_devices_can_be_set():
         needle_names(["tap=x"])
     with pytest.raises(ConfigurationError, match="at most 20 bytes"):
         needle_names(["tip=" + 21 * "x"])
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"depth": "Z"}, "depth"),
-        ({"reconstruct": True, "frames": 1}, "frames"),
-        ({"window": (3, 1)}, "window"),
-    ],
-)
-def test_what_makes_no_volumes_is_refused(options, message):
-    with pytest.raises(ConfigurationError, match=message):
-        live_maker(ReadingFrames(**options))
 
 
 @pytest.mark.parametrize(

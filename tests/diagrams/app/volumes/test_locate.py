@@ -137,8 +137,10 @@ def test_an_array_and_a_spacing_are_enough(made):
     assert np.linalg.norm(bent.curve.tip - tip) < 2e-3
 
 
-@pytest.mark.parametrize("content", ["zeros", "constant", "noise"])
-@pytest.mark.parametrize("shape", [(2, 2, 2), (40, 50, 30)])
+@pytest.mark.parametrize(
+    ("content", "shape"),
+    [("constant", (2, 2, 2)), ("zeros", (40, 50, 30)), ("noise", (40, 50, 30))],
+)
 def test_arrays_without_content_have_no_needle(content, shape):
     noise = np.random.default_rng(0).integers(0, 255, shape)
     array = {"zeros": np.zeros(shape), "constant": np.full(shape, 80), "noise": noise}[content]

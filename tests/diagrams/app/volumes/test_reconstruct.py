@@ -13,7 +13,6 @@ from sonoservo.diagrams.app.cli import run_arguments
 from sonoservo.diagrams.app.volumes.opening import ReconstructedRecording
 from sonoservo.diagrams.app.volumes.track import tracker_parameters
 from sonoservo.systems.files.refusals import ConfigurationError
-from sonoservo.systems.recording.recording import Recording
 from sonoservo.systems.ultrasound.frame_reconstruction import PosedFrame
 
 K = np.array([1, 0.25, 0.1]) / np.linalg.norm([1, 0.25, 0.1])
@@ -64,12 +63,6 @@ def test_a_needle_is_located_in_a_single_sweep(tmp_path, capsys):
     assert np.linalg.norm(1e-3 * np.array(found["tip_lps_mm"]) - X_WP.multiply(TIP)) < 1.5e-3
     assert "single sweep" in printed.err
     assert "Poses: Image to Reference" in printed.err
-
-
-def test_frames_without_the_option_are_refused_with_a_hint(tmp_path):
-    path = write_plus_file(tmp_path / "f.igs.mha", freehand(5, dtype=np.uint8))
-    with pytest.raises(ConfigurationError, match="make volumes of them with --reconstruct"):
-        Recording(path)
 
 
 def test_volumes_of_a_fixed_number_of_frames(tmp_path):

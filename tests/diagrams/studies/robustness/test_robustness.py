@@ -12,8 +12,6 @@ from synthetic_logs import build_insertion_log
 from sonoservo.diagrams import load_scenario
 from sonoservo.diagrams.experiments.following_scene import make_insertion
 from sonoservo.diagrams.papers import results
-from sonoservo.diagrams.papers.registry import STUDIES, require_paper
-from sonoservo.diagrams.published import PAPERS
 from sonoservo.diagrams.studies import records, run_group
 from sonoservo.diagrams.studies.robustness import reproduction
 from sonoservo.diagrams.studies.robustness.analysis import Group, Record, threshold
@@ -221,14 +219,6 @@ def test_a_probe_searches_along_a_path_until_a_needle_is_followed():
     assert 0.01 < np.linalg.norm(moved) < 0.03
     context.SetTime(4.0)
     np.testing.assert_array_equal(velocity(X_WP), [1, 2, 3])
-
-
-def test_robustness_is_a_study_of_no_paper():
-    assert set(STUDIES) == {"robustness"}
-    assert not set(STUDIES) & set(PAPERS)
-    for name in STUDIES:
-        require_paper(name)
-        assert (results._folder(name) / "reproduction.py").is_file()
 
 
 def outcomes(values):

@@ -1,7 +1,6 @@
 """Pages of a site, and those who must not see them."""
 
 import socket
-from urllib.parse import urlsplit
 
 import pytest
 from page_clients.page_socket import ask, open_socket
@@ -80,21 +79,6 @@ def test_hostile_pages_are_refused_even_with_the_token(site, headers):
         refused = ask(url, "socket", **headers, **more)
         assert "403" in refused[0] or "400" in refused[0]
         assert site.access.token not in "".join(refused)
-
-
-def test_requests_that_are_no_requests_stop_nothing(site):
-    place = urlsplit(site.address("page"))
-    for data in (
-        b"",
-        b"\0" * 1000,
-        b"GET",
-        b"GET / HTTP/1.1\r\n" * 5000,
-        b"\xff\xfe\r\n\r\n",
-        b"POST / HTTP/1.1\r\nHost: localhost\r\nContent-Length: 10000000\r\n\r\n" + b"x" * 9999,
-    ):
-        with socket.create_connection((place.hostname, place.port), timeout=10) as connection:
-            connection.sendall(data)
-    assert get(site.address("page"))[0] == 200
 
 
 def test_pages_are_let_go_when_the_site_closes():

@@ -49,7 +49,7 @@ def test_messages_may_come_in_any_pieces(piece):
     assert [item.text for item in decode_all(data, piece)] == [f"text {k}" for k in range(5)]
 
 
-@pytest.mark.parametrize("kind", ["VIDEO", "US-IMU", "Sensor", "GET ", "\u00e9"])
+@pytest.mark.parametrize("kind", ["VIDEO", "\u00e9"])
 def test_unknown_types_are_skipped_without_being_stored(kind):
     framer = make_framer()
     data = pack_frame(kind, "V", 0, bytes(3_000_000)) + encode(PoseItem("P", 1, X))

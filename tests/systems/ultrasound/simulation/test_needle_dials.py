@@ -84,10 +84,6 @@ def test_a_bare_needle_sinks_into_the_tissue():
     assert contrast_db("biopsy", 65) < -3
 
 
-def test_the_default_needle_is_a_biopsy_needle():
-    assert load_needle("biopsy").echo == NeedleEchoParameters()
-
-
 def test_thin_needles_are_fainter():
     """Intensity as the radius, at any angle: a cylinder's."""
     solid = SILENT | {"reverberation_db": -200.0}

@@ -77,12 +77,6 @@ def test_noise_grows_with_depth_as_sound_is_attenuated():
     assert levels[260] - levels[130] == pytest.approx(2 * 0.5 * 3.3 * 130 * 0.0308, abs=0.3)
 
 
-def test_poses_of_another_number_of_frames_are_refused():
-    renderer = make_renderer()
-    with pytest.raises(ValueError, match="X_TP"):
-        renderer.render(still(renderer)[:-1], [NOWHERE] * 27, 1, 0)
-
-
 @pytest.mark.parametrize("direction", [1, -1])
 def test_groups_cover_a_sweep_once_in_the_order_of_acquisition(direction):
     groups = make_renderer().groups(direction)
@@ -161,21 +155,3 @@ def test_what_is_kept_of_a_needle_at_rest_does_not_show():
         shown.append(renderer.render(*arguments))
         assert (shown[-1] == fresh.render(*arguments)).all()
     assert [bool((a != b).any()) for a, b in pairwise(shown)] == [False, *[True] * 6]
-
-
-def test_only_so_many_frames_are_begun_before_anybody_asks():
-    renderer = make_renderer()
-    frames = sweep_frames(renderer, NOWHERE, 0.0, 1)
-    for number in range(20):
-        renderer.begin(frames.among(slice(0, 4)), number)
-    with_groups = 3 * len(renderer.groups(1))
-    assert len(renderer._begun) <= with_groups
-
-
-def test_without_threads_to_spare_nothing_is_begun(monkeypatch):
-    monkeypatch.setattr("sonoservo.systems.ultrasound.simulation.rendering.workers", lambda: None)
-    renderer = make_renderer()
-    frames = sweep_frames(renderer, NOWHERE, 0.0, 1)
-    renderer.begin(frames.among(slice(0, 4)), 5)
-    assert not renderer._begun
-    assert render(renderer, frames).shape == renderer.geometry.shape

@@ -138,10 +138,6 @@ def test_random_fibres_have_the_stated_density_lengths_levels_and_direction():
     assert 29 < max(levels) <= 30
 
 
-def test_there_are_no_random_fibres_unless_asked_for():
-    assert Tissue().random_fibres.draw([0.2, 0.1, 0.1], np.random.default_rng(0)) == []
-
-
 @pytest.mark.parametrize(
     ("changes", "message"),
     [

@@ -56,7 +56,3 @@ def test_slow_needle_never_slips_and_a_withdrawn_one_drags_backwards():
     np.testing.assert_allclose(back, -there)
     assert there.max() <= 1e-3
     assert there.max() > 0.95e-3
-
-
-def test_without_friction_nothing_is_dragged():
-    assert advance_drag(Drag(), 0.03, 1.0, NeedleDragParameters()) == Drag()
