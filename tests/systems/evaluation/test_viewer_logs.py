@@ -112,8 +112,8 @@ def test_another_suffix_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize(("module", "name"), [("rerun", "x.rrd"), ("foxglove", "x.mcap")])
-def test_without_the_package_a_line_says_what_to_install(module, name, monkeypatch):
+def test_without_the_package_a_line_says_what_to_install(module, name, monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, module, None)
     extra = "mcap" if module == "foxglove" else module
     with pytest.raises(ConfigurationError, match=rf"pip install 'sonoservo\[{extra}\]'"):
-        open_viewer_log(Path(name))
+        open_viewer_log(tmp_path / name)
