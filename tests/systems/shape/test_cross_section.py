@@ -5,7 +5,6 @@ from pydrake.math import RigidTransform
 from scipy.ndimage import gaussian_filter
 
 from sonoservo.systems.shape.cross_section import (
-    DEVIATIONS,
     CrossSectionParameters,
     expected_position,
     find_again,
@@ -93,7 +92,10 @@ def test_the_needle_is_found_by_itself_and_from_a_rough_hint():
     assert np.allclose(found.centre, axis, atol=0.1e-3)
 
 
-@pytest.mark.parametrize("deviations", DEVIATIONS)
+@pytest.mark.parametrize(
+    "deviations",
+    ["signed", *(pytest.param(each, marks=pytest.mark.slow) for each in ("both", "brighter"))],
+)
 def test_following_does_not_drift(deviations):
     parameters = CrossSectionParameters(deviations=deviations)
     axis = np.array([0.0, 0.025])

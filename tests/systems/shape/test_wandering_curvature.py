@@ -127,7 +127,7 @@ def test_the_posterior_is_the_exact_one_of_the_linear_model():
     assert spread == pytest.approx(std, rel=0.15)
 
 
-@pytest.mark.parametrize("wander", [0.0, 0.3])
+@pytest.mark.parametrize("wander", [0.0, pytest.param(0.3, marks=pytest.mark.slow)])
 def test_whole_needles_teach_the_amplitude_for_the_next(wander):
     prior = WanderParameters(amplitude=0.1, spread=1.0, across=0.05, across_spread=1.0)
     shape_filter = make_filter(prior)
@@ -147,7 +147,7 @@ def test_whole_needles_teach_the_amplitude_for_the_next(wander):
     assert (nothing.amplitude, nothing.spread) == pytest.approx((prior.amplitude, prior.spread))
 
 
-@pytest.mark.parametrize("wander", [0.0, 0.3])
+@pytest.mark.parametrize("wander", [pytest.param(0.0, marks=pytest.mark.slow), 0.3])
 def test_the_stated_region_holds_the_tip_when_the_amplitude_is_known(wander):
     known = WanderParameters(amplitude=max(wander, 0.01), spread=0.2, across=0.01)
     shape_filter = make_filter(known)

@@ -71,7 +71,7 @@ def along(lines, a, b):
     return (away < 4e-3) & (np.abs(d @ k) > np.cos(np.radians(8)) * np.linalg.norm(d, axis=1))
 
 
-@pytest.mark.parametrize("moving", [False, True])
+@pytest.mark.parametrize("moving", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_a_needle_that_is_pushed_in_is_found_and_a_wire_at_rest_is_not(moving):
     lines = followed(volumes(True, moving)).hypotheses
     assert lines
@@ -86,7 +86,7 @@ def test_a_needle_that_is_pushed_in_is_found_and_a_wire_at_rest_is_not(moving):
     np.testing.assert_allclose(lines.classes.sum(axis=1), 1)
 
 
-@pytest.mark.parametrize("moving", [False, True])
+@pytest.mark.parametrize("moving", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_where_no_needle_comes_none_is_found(moving):
     lines = followed(volumes(False, moving)).hypotheses
     assert lines.probabilities.max() < 0.5
