@@ -1,3 +1,6 @@
+from importlib.resources import files
+from xml.etree import ElementTree
+
 import numpy as np
 import pytest
 from live_items import FakeOutlet, X, make_estimate, make_volume
@@ -8,8 +11,13 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantValueSource
 
 from sonoservo.systems.live.acquisition import read_acquisition_item
+from sonoservo.systems.live.connection.address import DEFAULT_PORT
 from sonoservo.systems.live.connection.items import PointsItem
 from sonoservo.systems.live.feeds import (
+    IMAGE,
+    NEEDLE,
+    SLICES,
+    TIP,
     NeedleNames,
     needle_feed,
     needle_items,
@@ -21,6 +29,7 @@ from sonoservo.systems.live.feeds import (
     truth_items,
     volume_feed,
 )
+from sonoservo.systems.live.image_matcher import DEFAULT_POSES
 from sonoservo.systems.live.sender import Sender
 from sonoservo.systems.live.volume_receiver import VolumeReceiver
 from sonoservo.systems.signals.immutable import NotFound
@@ -209,3 +218,16 @@ def test_receiver_takes_a_message_in_at_the_next_step():
     source.waiting.append(make_volume(6.0))
     receiver.ExecuteForcedEvents(simulator.get_mutable_context())
     assert now().time == 6.0
+
+
+def test_scene_connects_and_places_the_images_under_the_probe():
+    text = (files("sonoservo.systems.live") / "slicer.mrml").read_text()
+    nodes = {node.get("name"): node for node in ElementTree.fromstring(text)}
+    connector = nodes["sonoservo"]
+    assert connector.tag == "IGTLConnector"
+    assert int(connector.get("serverPort")) == DEFAULT_PORT
+    names = NeedleNames()
+    expected = {IMAGE, *SLICES, DEFAULT_POSES, names.tip, names.curve, NEEDLE, TIP}
+    assert expected == nodes.keys() - {"sonoservo", None}
+    for name in (IMAGE, *SLICES):
+        assert nodes[name].get("references") == f"transform:{nodes[DEFAULT_POSES].get('id')};"

@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
 from scipy.special import i0
-from tip_study.bound import envelope_log_likelihood, field_log_likelihood
-from tip_study.needle_end import EchoModel, EndSamples, NeedleEnd, echo_model, samples_near
 
 from sonoservo.systems.signals.point_spread import FWHM_PER_SIGMA, PointSpread
 from sonoservo.systems.signals.sweep import SweepGeometry
+from tip_study.bound import envelope_log_likelihood, field_log_likelihood
+from tip_study.needle_end import EchoModel, EndSamples, NeedleEnd, echo_model, samples_near
 
 GEOMETRY = SweepGeometry(
     array_radius=0.04, motor_radius=0.027, line_pitch=0.0106, frame_pitch=0.0255,

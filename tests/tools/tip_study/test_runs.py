@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from tip_study import End, end_of, study
 from tip_study.needle_end import echo_model, samples_near
 from tip_study.needles import RADIUS, scanner, sweep_with
