@@ -1,7 +1,6 @@
 """Kept results, and the tables that show them."""
 
 import json
-import re
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -103,14 +102,6 @@ def test_only_records_of_the_present_committed_code_are_kept(study, house, monke
     (folder / "pyproject.toml").unlink()
     with pytest.raises(ConfigurationError, match="in a checkout"):
         results.keep_results([study], "")
-
-
-def test_bars_stay_in_their_cells(data):
-    data["rows"][0]["quantity"] = "mean |X|"
-    lines = results.results_table(data, "all").splitlines()
-    for line in (each for each in lines if each.startswith("|")):
-        assert len(re.split(r"(?<!\\)\|", line)) == 12
-    assert r"mean \|X\|" in results.results_table(data, "all")
 
 
 def test_each_experiment_has_a_line_of_its_main_figures(data):

@@ -1,23 +1,6 @@
 import numpy as np
-from hypothesis import example, given
-from hypothesis import strategies as st
 
-from sonoservo.systems.display.shapes import resample, sector_edges, segment_pose
-
-point = st.tuples(*[st.floats(-1, 1)] * 3)
-
-
-@given(point, point)
-@example((1.0, 2.0, 3.0), (1.0, 2.0, 3.0))
-def test_a_segment_ends_where_it_should(start, end):
-    X, length = segment_pose(start, end)
-    np.testing.assert_allclose(X.multiply([0, 0, -length / 2]), start, atol=1e-9)
-    np.testing.assert_allclose(X.multiply([0, 0, length / 2]), end, atol=1e-9)
-
-
-def test_resampling_a_corner():
-    result = resample([[0, 0, 0], [3, 0, 0], [3, 1, 0]], 5)
-    np.testing.assert_allclose(result[:, :2], [[0, 0], [1, 0], [2, 0], [3, 0], [3, 1]])
+from sonoservo.systems.display.shapes import sector_edges
 
 
 def test_the_edges_of_a_sector_are_its_edges(geometry):

@@ -7,8 +7,6 @@ import pytest
 from filterpy.kalman import predict, update
 from pydrake.math import RigidTransform, RollPitchYaw
 
-from sonoservo.systems.files.refusals import ConfigurationError
-from sonoservo.systems.files.typed_yaml import load_typed
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
 from sonoservo.systems.signals.velocity_measurement import VelocityMeasurement
@@ -179,13 +177,3 @@ def test_no_frame_is_special(case):
     np.testing.assert_allclose(moved.curve.control_points, plain.curve.control_points, atol=1e-10)
     np.testing.assert_allclose(moved.velocity, plain.velocity, atol=1e-10)
     np.testing.assert_allclose(moved.covariance, plain.covariance, atol=1e-12)
-
-
-def test_every_filter_can_be_chosen_and_set_in_a_file(case):
-    needle_filter, _ = case
-    loaded = load_typed(type(needle_filter), {"first_drift_std": 1e-3}, "x")
-    assert loaded.first_drift_std == 1e-3
-    for field, value in (("first_speed_std", -1.0), ("kind", "other")):
-        with pytest.raises(ConfigurationError, match=field):
-            load_typed(type(needle_filter), {field: value}, "x")
-    assert len({each.kind for each in FILTERS}) == len(FILTERS)

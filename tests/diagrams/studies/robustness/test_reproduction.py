@@ -249,15 +249,6 @@ def test_scenes_that_only_ours_saw_count_in_its_rows_but_not_in_thresholds():
     assert (row.true, row.published_true) == (25, 100)
 
 
-def test_a_tracker_that_fails_with_every_dial_off_has_no_threshold():
-    made = outcomes({1.0: (1, 1, 1)})
-    settings = {**made[0].case.settings, "dial": "plain"}
-    plain = Case("open loop, every dial off", 100, settings)
-    made.append(Outcome(plain, dict(zip(TRACKERS, (kept(), kept(tip=9), kept()), strict=True))))
-    (row,) = report(made).thresholds
-    assert [row[kind] for kind in TRACKERS] == ["beyond 1", "no threshold", "beyond 1"]
-
-
 def test_the_report_gives_thresholds_and_they_become_a_table():
     study = report(outcomes({1.0: (1, 1, 9), 2.0: (1, 3, 9), 4.0: (1, 9, 9)}))
     (row,) = study.thresholds
