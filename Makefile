@@ -9,13 +9,14 @@ ARGS ?=
 SHELL := /bin/bash
 # Programs start three times as fast from compiled modules, which pip leaves to the first import.
 unexport PYTHONDONTWRITEBYTECODE
-.PHONY: help compile run test test-quick fuzz bench docs notebooks pictures lint clean
+.PHONY: help compile run test test-slow test-quick fuzz bench docs notebooks pictures lint clean
 .PRECIOUS: $(VENV)/.installed.%
 .DEFAULT_GOAL := help
 
 help:
 	@echo "make run    simulate $(SCENARIO): the robot finds a needle and follows it"
 	@echo "make test   run the tests            make bench  run the benchmarks"
+	@echo "make test-slow   run the studies of minutes that make test leaves out (hours)"
 	@echo "make fuzz   damage files, scenarios and commands at random (an hour)"
 	@echo "make lint   ruff, mypy, imports      make clean  remove what was built"
 	@echo "make docs   build the documentation in build/docs"
@@ -41,10 +42,15 @@ compile: $(VENV)/.compiled
 run: $(VENV)/.compiled
 	@$(BIN)/sonoservo run $(SCENARIO) $(ARGS)
 
+# Whole loops come first in the alphabet, so that neither worker ends with a long one.
 test: $(VENV)/.installed.dev $(VENV)/.compiled
-	@$(BIN)/python -m pytest -n 2 --dist loadfile -rs $(ARGS)
+	@$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder -rs $(ARGS)
 
-# The quick tests on another Python, and so another Drake, in an environment of its own.
+# What judges a behaviour over many seeds or minutes; a quick form of each is among the tests.
+test-slow: $(VENV)/.installed.dev $(VENV)/.compiled
+	@$(BIN)/python -m pytest -m slow -n 2 --dist loadscope -rs $(ARGS)
+
+# A few of the tests on another Python, and so another Drake, in an environment of its own.
 QUICK := tests/systems/robot tests/systems/control tests/systems/signals tests/systems/needle tests/systems/files \
 	tests/diagrams/test_station.py tests/diagrams/test_wiring.py tests/diagrams/test_probe_controller.py
 test-quick: $(VENV)/.installed.dev
