@@ -21,6 +21,8 @@ QUICK = " ".join(
         "hand.pushes.0.speed=0.02",
         "station.probe.height=0.004",
         "station.plant.contact_model=point",
+        "scan_conversion.spacing=[1e-3,1e-3,1e-3]",
+        "imaging.sector=0.55",
     ]
 )
 

@@ -18,6 +18,7 @@ CHANGES = [
     "duration=5.8",
     "hand.start=0.5",
     "hand.pushes=[{duration: 3.0, speed: 0.016}, {duration: 6.0, speed: -0.03}]",
+    "scan_conversion.spacing=[1e-3, 1e-3, 1e-3]",
 ]
 """The needle is pushed in, and pulled out again."""
 

@@ -127,6 +127,7 @@ def test_live_estimates_are_those_of_the_recording_to_the_last_bit(recording, ex
     np.testing.assert_array_equal(tip.X.translation(), expected.estimates[-1].curve.tip)
 
 
+@pytest.mark.slow
 def test_poses_are_corrected_live_as_in_the_recording(tmp_path):
     lying = LyingProbe(delay=0.06, X_PI=RigidTransform([1e-3, 0.0, 1e-3]))
     recording = lying.record(tmp_path / "a.seq.nrrd", 10)

@@ -85,6 +85,8 @@ FALSE = "false starts, more than 10 mm off or without a needle, all runs"
 
 CHEAP = [
     "station.plant.contact_model=point",
+    "scan_conversion.spacing=[1e-3, 1e-3, 1e-3]",
+    "imaging.sector=0.55",
 ]
 
 
