@@ -11,7 +11,7 @@ from rich.table import Table
 
 def print_table(benchmarks):
     """Print one table: cost, what it is compared with, and how much longer that takes."""
-    table = Table("benchmark", "ms", "compared with", "takes times as long", "figures")
+    table = Table("benchmark", "ms", "compared with", "which takes times as long", "figures")
     for each in benchmarks:
         figures = dict(each["extra_info"])
         ms = figures.pop("ms", 1e3 * each["stats"]["median"])
@@ -22,7 +22,8 @@ def print_table(benchmarks):
             if isinstance(value, float | int | str)
         ]
         shown = "" if ratio is None else f"{ratio:.3g}"
-        table.add_row(escape(each["name"]), f"{ms:.4g}", peer, shown, ", ".join(rest))
+        name = each["name"].removeprefix("test_").replace("_", " ")
+        table.add_row(escape(name), f"{ms:.4g}", peer, shown, ", ".join(rest))
     Console(width=200).print(table)
 
 
