@@ -14,8 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
 
-from sonoservo.systems.signals.immutable import Immutable
-from sonoservo.systems.signals.line_hypotheses import LINE_CLASSES, LineHypotheses
+from sonoservo.systems.signals.immutable import Immutable, NotFound
+from sonoservo.systems.signals.line_hypotheses import (
+    LINE_CLASSES,
+    LineHypotheses,
+    LinesExplanation,
+)
+from sonoservo.systems.signals.search_reason import SearchReason
 from sonoservo.systems.signals.volume import Volume, acquired_from
 from sonoservo.systems.tracking.arrival import add_volume, advances, class_logs
 from sonoservo.systems.tracking.cells import Cells, cells_of, tissue_shift
@@ -73,7 +78,7 @@ _SAME, _OVERLAP, _BETTER = 3e-3, 10e-3, 4.0
 """Distance in m up to which the ends of two fits belong to one line, length in m by which its
 parts may be apart, and sum of contrasts in dB, of one bin, by which a better fit replaces it."""
 
-_KEPT, _LEAST_PROMINENCE, _LINES, _JUDGED = 0.8, 3.0, 150, 40
+_KEPT, _LEAST_PROMINENCE, _LINES, _JUDGED = 0.8, 3.0, 80, 40
 """Share of a line's prominence that lasts from volume to volume, the least one, and the numbers of
 the most prominent lines that are followed, and that are judged by their looks."""
 
@@ -495,10 +500,30 @@ def _along(fresh: Lines, number: int, lines: Lines) -> NDArray[np.int64]:
     return np.flatnonzero((off.max(axis=0) < _SAME) & (overlap > -2 * _OVERLAP))
 
 
+def explain_lines(belief: LineBelief, count: int = 6) -> LinesExplanation | NotFound:
+    """Return the most probable needles, and what all remembered volumes show along the first."""
+    if not belief.hypotheses:
+        return NotFound(SearchReason.NO_BRIGHT_LINE(" is followed"))
+    best = belief.hypotheses.best(count)
+    line = belief.lines.take(np.flatnonzero(belief.lines.numbers == best.numbers[0]))
+    outer, sense = (1, -1) if _backwards(line)[0] else (0, 1)
+    shown = [_shown_at(line, each).along.contrasts[0, ::sense] for each in belief.memory]
+    a = sense * (MIDDLES - _stretches_seen(line)[0, outer])
+    times = np.array([each.volume.time for each in belief.memory])
+    return LinesExplanation(best, times, a[::sense], np.nan_to_num(shown), np.isfinite(shown))
+
+
+def _stretches_seen(lines: Lines) -> Floats:
+    """Return (n, 2) abscissae in m between which the lines stand out in the newest volume."""
+    firsts, lasts, _ = stretches(lines.contrasts)
+    return np.stack(
+        [MIDDLES[firsts] - BIN / 2, MIDDLES[np.maximum(lasts, firsts)] + BIN / 2], axis=1
+    )
+
+
 def _seen_ends(lines: Lines) -> Floats:
     """Return (n, 2, 3) ends of the stretches that stand out in the newest volume, in the tissue."""
-    firsts, lasts, _ = stretches(lines.contrasts)
-    a = np.stack([MIDDLES[firsts] - BIN / 2, MIDDLES[np.maximum(lasts, firsts)] + BIN / 2], axis=1)
+    a = _stretches_seen(lines)
     return lines.points[:, np.newaxis] + a[..., np.newaxis] * lines.directions[:, np.newaxis]
 
 

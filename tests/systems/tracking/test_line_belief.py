@@ -14,7 +14,7 @@ from sonoservo.systems.signals.line_hypotheses import LINE_CLASSES
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
 from sonoservo.systems.signals.volume import Volume
-from sonoservo.systems.tracking.line_belief import LineBelief, follow
+from sonoservo.systems.tracking.line_belief import LineBelief, explain_lines, follow
 from sonoservo.systems.tracking.line_follower import LineFollower
 
 START = np.array([-0.025, 0.03, 0.02])
@@ -96,6 +96,24 @@ def test_where_no_needle_comes_none_is_found(moving):
     assert "needle" not in kinds
 
 
+def test_the_history_of_a_needle_shows_its_tip_advance():
+    explained = explain_lines(followed(volumes(True, True)))
+    assert explained.lines.probabilities[0] == explained.lines.probabilities.max() > 0.95
+    # The contrast stands out as far as the needle has come in each volume, and not beyond.
+    entry = explained.lines.ends[0, 0]
+    beside = 3e-3
+    for time, contrasts, seen in zip(
+        explained.times, explained.contrasts, explained.seen, strict=True
+    ):
+        tip = float((pushed(time)[1] - entry) @ K)
+        before = seen & (explained.a > 0) & (explained.a < tip - beside)
+        beyond = seen & (explained.a > tip + beside)
+        assert beyond.any()
+        assert contrasts[beyond].mean() < 2
+        if before.any():
+            assert contrasts[before].mean() > 5
+
+
 def test_the_same_volumes_give_the_same_bits():
     first, second = (followed(volumes(True, False)[:8]).hypotheses for _ in range(2))
     for name in ("ends", "probabilities", "classes", "looks", "looked", "numbers"):
@@ -132,6 +150,7 @@ def test_leaf_follows_only_while_nothing_is_tracked():
     fix("volume", volumes(False, False)[2])
     assert lines().reason == "a needle is being tracked"
     leaf.ExecuteForcedEvents(context)
+    assert not leaf.GetOutputPort("explanation").Eval(context)
     belief = leaf.GetOutputPort("belief").Eval(context)
     assert belief.time == volumes(False, False)[2].time
     assert len(belief.lines) == len(belief.memory) == 0
