@@ -84,9 +84,9 @@ the most prominent lines that are followed, and that are judged by their looks."
 
 _LAGS = (1, 4, 12)
 
-_SHIFTS = np.array([0.0, -3e-3, 3e-3])
-"""Displacements in W along Z, in m, from which the tissue's is searched: breath is faster than its
-cells are large."""
+_SHIFT = 3e-3
+"""Length in m by which breath moves tissue along Z from volume to volume: more than a cell, so its
+displacement is searched from there, too."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -354,16 +354,23 @@ def _remember(volume: Volume, memory: Sequence[Remembered]) -> Remembered:
         return Remembered(volume, cells, np.zeros(3), np.zeros(3))
     last = memory[-1].displacement
     before = memory[-2].displacement if len(memory) > 1 else last
-    guesses = [2 * last - before, *(last + np.outer(_SHIFTS, [0.0, 0.0, 1.0]))]
-    found: list[Floats] = []
+    guesses = [2 * last - before, *(last + _SHIFT * np.outer([0, -1, 1], [0, 0, 1]))]
+    # Before anything is seen, tissue moves by a breath's step from volume to volume.
+    known = np.eye(3) / _SHIFT**2
+    weighted = known @ last
     for lag in range(1, len(memory) + 1):
         if lag in _LAGS:
             each = memory[-lag]
             R = each.volume.X_WP.rotation().matrix()
             X = each.volume.X_WP.inverse().multiply(volume.X_WP).GetAsMatrix4()
-            starts = [R.T @ (each.displacement - guess) for guess in found[:1] or guesses]
-            found.append(each.displacement - R @ tissue_shift(cells, each.cells, X, starts))
-    displacement = np.mean(found, axis=0)
+            starts = [R.T @ (each.displacement - guess) for guess in guesses]
+            shift, information = tissue_shift(cells, each.cells, X, starts)
+            found, information = each.displacement - R @ shift, R @ information @ R.T
+            known += information
+            weighted += information @ found
+            if lag == 1:
+                guesses = [found]
+    displacement = np.linalg.solve(known, weighted)
     return Remembered(
         volume, cells, displacement, (displacement - last) / (volume.time - memory[-1].volume.time)
     )

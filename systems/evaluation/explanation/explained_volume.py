@@ -388,9 +388,7 @@ class ExplanationRecorder(LeafSystem):
         occasion = find_occasion(before, after, detected=first, max_jump=self._max_jump)
         run.detected |= first
         run.estimate = after
-        lines = evaluate_optional(
-            self, context, "lines_explanation", (LinesExplanation, NotFound)
-        )
+        lines = evaluate_optional(self, context, "lines_explanation", (LinesExplanation, NotFound))
         run.waiting.append(_Look(volume, explanation, lines or None, before, after))
         if occasion:
             while len(run.waiting) > 1:

@@ -1,5 +1,6 @@
 """The belief about all lines, in volumes in which a needle is pushed in beside what rests."""
 
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -112,6 +113,13 @@ def test_the_history_of_a_needle_shows_its_tip_advance():
         assert contrasts[beyond].mean() < 2
         if before.any():
             assert contrasts[before].mean() > 5
+
+
+def test_a_volume_without_contact_does_not_move_the_tissue():
+    images = volumes(False, False)
+    dark = [replace(each, intensities=np.ones(SHAPE, np.uint8)) for each in images[:2]]
+    for remembered in followed([*dark, *images[2:15]]).memory:
+        assert np.linalg.norm(remembered.displacement) < 0.3e-3
 
 
 def test_the_same_volumes_give_the_same_bits():
