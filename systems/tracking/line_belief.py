@@ -78,7 +78,7 @@ _SAME, _OVERLAP, _BETTER = 3e-3, 10e-3, 4.0
 """Distance in m up to which the ends of two fits belong to one line, length in m by which its
 parts may be apart, and sum of contrasts in dB, of one bin, by which a better fit replaces it."""
 
-_KEPT, _LEAST_PROMINENCE, _LINES, _JUDGED = 0.8, 3.0, 80, 40
+_KEPT, _LEAST_PROMINENCE, _LINES, _JUDGED = 0.8, 3.0, 150, 40
 """Share of a line's prominence that lasts from volume to volume, the least one, and the numbers of
 the most prominent lines that are followed, and that are judged by their looks."""
 

@@ -170,7 +170,7 @@ def test_lines_followed_are_drawn_while_nothing_is_measured():
         line_probabilities=np.array([0.97, 0.2]),
         line_classes=np.array([[0.9, 0.1, 0, 0, 0], [0.1, 0.2, 0.3, 0.4, 0]]),
         line_looks=np.array([1.5, -3.0]),
-        line_ends=np.array([NEEDLE, NEEDLE + [0, 0, 5e-3]]),
+        line_ends=np.array([NEEDLE, np.add(NEEDLE, [0, 0, 5e-3])]),
         history_times=np.array([-0.3, 0.0]),
         history_a=np.array([0.0, 2e-3, 4e-3]),
         history=history,
