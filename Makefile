@@ -62,8 +62,9 @@ fuzz: $(VENV)/.installed.dev
 
 bench: $(VENV)/.installed.dev $(VENV)/.compiled
 	@mkdir -p out
-	@$(BIN)/python -m pytest tests/benchmarks -m "not slow or bench" --benchmark-enable --benchmark-only --benchmark-min-rounds=3 --benchmark-max-time=0.5 --benchmark-json=out/bench.json $(ARGS)
-	@$(BIN)/python tests/benchmarks/plot_cost.py out/bench.json out/render_cost.png
+	@$(BIN)/python -m pytest -q tests/benchmarks -m "not slow or bench" --benchmark-enable --benchmark-only --benchmark-quiet \
+		--benchmark-min-rounds=3 --benchmark-max-time=0.5 --benchmark-json=out/bench.json $(ARGS); \
+	status=$$?; $(BIN)/python tests/benchmarks/table.py out/bench.json && exit $$status
 
 docs: $(VENV)/.compiled
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'

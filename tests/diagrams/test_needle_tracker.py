@@ -185,7 +185,7 @@ def test_every_tracker_has_one_face(parameters):
     outputs = [tracker.get_output_port(n).get_name() for n in range(tracker.num_output_ports())]
     assert inputs == ["volume"]
     assert outputs[:5] == ["estimate", "measurement", "detection", "explanation", "volume_check"]
-    assert outputs[5:] in ([], ["lines"])
+    assert outputs[5:] in ([], ["lines", "lines_explanation"])
     # All that reaches an output at once is the explanation: the estimate is a state.
     assert [tracker.HasDirectFeedthrough(n) for n in range(4)] == [False, False, False, True]
     assert tracker.get_name() == "needle_tracker"

@@ -99,7 +99,7 @@ def test_what_is_not_seen_is_weak_evidence_against_a_line():
     contrasts[0, 5:7] = np.nan
     firsts, lasts, sums = stretches(contrasts)
     assert (firsts[0], lasts[0]) == (0, 11)
-    assert sums[0] == pytest.approx(10 * log_ratio(6.0) - 1.0)
+    assert sums[0] == pytest.approx(10 * log_ratio(np.array([6.0]))[0] - 1.0)
 
 
 @pytest.mark.parametrize(("renewed", "deviation"), [(0.01, 1.0), (0.1, 2.0), (0.4, 1.5)])

@@ -32,6 +32,13 @@ def failed():
     return explained(found=False)
 
 
+def searched():
+    volume = SCENE.volume(0)
+    look = empty_look(volume.time, NotFound("no needle has been detected"))
+    after = estimate(volume.time, TrackingMode.SEARCHING)
+    return explain_volume(volume, look, before=None, after=after, occasion="before")
+
+
 def draw(volume, **options):
     figure = plot_explanation(volume, **options)
     beam, profile, cross, gate, *_ = figure.axes
@@ -131,11 +138,32 @@ def test_what_is_not_there_is_said_and_the_reason_stands_above(found, failed):
     _, beam, cross, _, _ = draw(explained(found=False, prediction=predicted(shift=1.0)))
     texts = [text.get_text() for axes in (beam, cross) for text in axes.texts]
     assert "the slice misses the volume" in texts
-    volume, searching = SCENE.volume(0), TrackingMode.SEARCHING
-    look = empty_look(volume.time, NotFound("no needle has been detected"))
-    after = estimate(volume.time, searching)
-    kept = explain_volume(volume, look, before=None, after=after, occasion="before")
-    _, beam, cross, profile, _ = draw(kept)
+    _, beam, cross, profile, _ = draw(searched())
     assert beam.get_title(loc="left") == "Slice at elevation 0"
     assert (cross.get_xlabel(), cross.get_ylabel()) == ("elevation, mm", "depth, mm")
     assert profile.texts[0].get_text() == "no axis was found"
+
+
+def test_lines_followed_are_drawn_while_nothing_is_measured():
+    history = np.array([[9.0, np.nan, -2.0], [8.0, 7.0, -1.0]])
+    kept = replace(
+        searched(),
+        sliced=np.array("line"),
+        line_numbers=np.array([7.0, 3.0]),
+        line_probabilities=np.array([0.97, 0.2]),
+        line_classes=np.array([[0.9, 0.1, 0, 0, 0], [0.1, 0.2, 0.3, 0.4, 0]]),
+        line_looks=np.array([1.5, -3.0]),
+        line_ends=np.array([NEEDLE, np.add(NEEDLE, [0, 0, 5e-3])]),
+        history_times=np.array([-0.3, 0.0]),
+        history_a=np.array([0.0, 2e-3, 4e-3]),
+        history=history,
+    )
+    _, beam, _, classes, shown = draw(kept, needle=kept.to_probe(NEEDLE))
+    assert beam.get_title(loc="left").endswith("through the line most like a needle")
+    names = [text.get_text() for text in classes.get_yticklabels()]
+    assert names[0] == "line 7\nP 97 %, looks +1.5"
+    widths = [[bar.get_width() for bar in bars] for bars in classes.containers]
+    np.testing.assert_allclose(np.transpose(widths), kept.line_classes)
+    np.testing.assert_allclose(shown.collections[0].get_array().filled(np.nan), history.T)
+    truth = line(shown, "true tip (truth)")
+    np.testing.assert_allclose(truth, [[0, 30]], atol=0.1)
