@@ -44,7 +44,7 @@ run: $(VENV)/.compiled
 
 # Whole loops come first in the alphabet, so that neither worker ends with a long one.
 test: $(VENV)/.installed.dev $(VENV)/.compiled
-	@$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder -rs $(ARGS)
+	@$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder --ignore=tests/benchmarks -rs $(ARGS)
 
 # What judges a behaviour over many seeds or minutes; a quick form of each is among the tests.
 test-slow: $(VENV)/.installed.dev $(VENV)/.compiled

@@ -23,6 +23,8 @@ CHANGES = [
     "hand.pushes=[{duration: 5, speed: 0.016}]",
     "station.plant.contact_model=point",
     "station.probe.height=0.004",
+    "imaging.sector=0.55",
+    "scan_conversion.spacing=[1e-3, 1e-3, 1e-3]",
 ]
 LAYERS = [
     "arm", "probe", "phantom", "needle", "estimate", "uncertainty", "sector", "slices", "force"
@@ -156,6 +158,7 @@ def volume_of(grey, time):
     return Volume(np.full((31, 31, 31), grey, np.uint8), origin, spacing, X_WP, time)
 
 
+@pytest.mark.slow
 def test_every_new_volume_is_seen_and_what_is_off_stays_off(meshcat, open_page):
     view = WorldView(meshcat=meshcat)
     context = view.CreateDefaultContext()
@@ -214,6 +217,7 @@ def check_the_probe_is_inside(page):
     assert np.abs(corners).max() < 1
 
 
+@pytest.mark.slow
 def test_the_probe_is_in_the_frame(run, open_page):
     page = open_world(open_page, run.meshcat.web_url())
     for width, height in ((506, 590), (800, 700)):  # as the console has it at its least and most
@@ -258,6 +262,7 @@ def test_the_replay_plays_by_itself_in_step(run, replay, open_page):
         np.testing.assert_allclose(page.evaluate(face), p_WP, atol=5e-4)
 
 
+@pytest.mark.slow
 def test_the_console_winds_the_world_of_a_kept_run(replay, open_page):
     with Site() as site:
         site.add("report", "Report", [("(.*)", Files, {"path": str(replay.parent)})])

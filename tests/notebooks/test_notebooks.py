@@ -27,7 +27,17 @@ QUICK = " ".join(
 )
 
 
-@pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.stem)
+QUICKEST = ("1_the_loop", "3_your_own_probe", "5_needle_shape", "8_in_colab")
+"""One of a run, of parts, of a shape and of a page; the others are slow."""
+
+
+@pytest.mark.parametrize(
+    "script",
+    [
+        pytest.param(path, id=path.stem, marks=[pytest.mark.slow] * (path.stem not in QUICKEST))
+        for path in SCRIPTS
+    ],
+)
 def test_every_cell_runs_and_shows_what_it_ends_with(script, monkeypatch, capsys):
     """In this process: a kernel for each would load everything anew."""
     monkeypatch.setenv("SONOSERVO_QUICK", QUICK)

@@ -102,6 +102,7 @@ NARROW = "imaging: {sector: 0.55, frames: 11, volume_rate: 4.0, depth: 0.08}\n"
 """Fewer lines than by default, for a quick run."""
 
 
+@pytest.mark.slow
 def test_a_stranger_s_scenario_is_found(tmp_path):
     """Only the duration, the dip and the pushes are given."""
     text = "duration: 9.5\nhand: {dip_deg: 35, pushes: [{duration: 6, speed: 0.012}]}\n"
@@ -147,6 +148,7 @@ def test_a_needle_that_is_in_view_from_the_start_is_found_anywhere(tmp_path):
     assert found.summary["tracking"]["tip_error_mm"]["median"] < 2
 
 
+@pytest.mark.slow
 def test_the_probe_stays_on_a_curved_body_and_finds_the_needle(tmp_path):
     """On a limb, 15 mm beside its apex, with the face along the skin."""
     text = """phantom: limb

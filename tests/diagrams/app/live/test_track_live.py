@@ -296,6 +296,7 @@ def test_mistakes_are_one_line(arguments, message, capsys):
     assert message in line
 
 
+@pytest.mark.slow
 def test_interruption_ends_at_once_and_leaves_what_is_valid(recording, tmp_path):
     with Link(parse_address("igtl://:0"), report=quiet) as server:
         command = ["track", f"igtl://localhost:{server.port}", "--out", str(tmp_path)]

@@ -85,6 +85,7 @@ class Notes(list):
         return self._run(work, cases, store, self.append)
 
 
+@pytest.mark.slow
 def test_outcomes_and_files_are_those_of_this_machine(cluster, tmp_path):
     wanted = run_cases(calculate, cases(12, raises=3), tmp_path / "here")
     found = run_cases(calculate, cases(12, raises=3), tmp_path / "there", cluster=cluster)
