@@ -23,8 +23,6 @@ CHANGES = [
     "hand.pushes=[{duration: 5, speed: 0.016}]",
     "station.plant.contact_model=point",
     "station.probe.height=0.004",
-    "imaging.sector=0.55",
-    "scan_conversion.spacing=[1e-3, 1e-3, 1e-3]",
 ]
 LAYERS = [
     "arm", "probe", "phantom", "needle", "estimate", "uncertainty", "sector", "slices", "force"
