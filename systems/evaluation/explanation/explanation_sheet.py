@@ -256,10 +256,13 @@ def _draw_history(axes: Axes, explained: ExplainedVolume, needle: Array) -> None
     axes.hlines(edges, times[-1] - 0.3, times[-1] + 0.3, color=LINE, linewidth=2,
                 label="ends in this volume")  # fmt: skip
     if len(needle):
-        first, last = explained.to_probe(ends)
-        at = 1e3 * float((needle[-1] - first) @ (last - first)) / np.linalg.norm(last - first)
+        first, last = 1e3 * explained.to_probe(ends)
+        k = (last - first) / np.linalg.norm(last - first)
+        away = 1e3 * needle[-1] - first
+        at = float(away @ k)
         axes.plot(times[-1], at, marker="x", color=TRUE, markersize=9, markeredgewidth=2,
-                  linestyle="", label="true tip (truth)")  # fmt: skip
+                  linestyle="", label=f"true tip (truth), {np.linalg.norm(away - at * k):.0f} mm "
+                  "beside the line")  # fmt: skip
         edges.append(at)
     axes.set_ylim(min(edges) - 20, max(edges) + 20)
     axes.set_xlabel("time of the volumes remembered, s")

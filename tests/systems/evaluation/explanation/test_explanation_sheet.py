@@ -165,5 +165,5 @@ def test_lines_followed_are_drawn_while_nothing_is_measured():
     widths = [[bar.get_width() for bar in bars] for bars in classes.containers]
     np.testing.assert_allclose(np.transpose(widths), kept.line_classes)
     np.testing.assert_allclose(shown.collections[0].get_array().filled(np.nan), history.T)
-    truth = line(shown, "true tip (truth)")
+    truth = line(shown, "true tip (truth), 0 mm beside the line")
     np.testing.assert_allclose(truth, [[0, 30]], atol=0.1)
