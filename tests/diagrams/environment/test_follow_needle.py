@@ -29,6 +29,7 @@ CHANGES = (
 make = partial(gymnasium.make, f"sonoservo.diagrams.environment:{ENVIRONMENT}", changes=CHANGES)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:.*render.*")
 def test_gymnasium_finds_nothing_wrong():
     check_env(make(observation="slices", render_mode="rgb_array").unwrapped,
