@@ -8,6 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from sonoservo.systems.sampling.workers import by_parts
 from sonoservo.systems.tracking.line_contrast import BIN
 
 Floats = NDArray[np.float64]
@@ -271,4 +272,9 @@ def class_logs(
         time.
     """
     all_moves = np.broadcast_to(moves, (logs.shape[1], *moves.shape))
-    return np.asarray(_class_logs(logs, riding, appearing, all_moves, *_hand(len(moves)), passing))
+    hand = _hand(len(moves))
+
+    def of(part: slice) -> Any:
+        return _class_logs(logs[part], riding[part], appearing, all_moves, *hand, passing[part])
+
+    return np.concatenate([np.zeros((0, 5)), *by_parts(of, len(logs))])

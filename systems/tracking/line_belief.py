@@ -370,7 +370,7 @@ def _remember(volume: Volume, memory: Sequence[Remembered]) -> Remembered:
             weighted += information @ found
             if lag == 1:
                 guesses = [found]
-    displacement = np.linalg.solve(known, weighted)
+    displacement = np.asarray(np.linalg.solve(known, weighted), np.float64)
     return Remembered(
         volume, cells, displacement, (displacement - last) / (volume.time - memory[-1].volume.time)
     )

@@ -389,7 +389,8 @@ class ExplanationRecorder(LeafSystem):
         run.detected |= first
         run.estimate = after
         lines = evaluate_optional(self, context, "lines_explanation", (LinesExplanation, NotFound))
-        run.waiting.append(_Look(volume, explanation, lines or None, before, after))
+        lines = lines if isinstance(lines, LinesExplanation) else None
+        run.waiting.append(_Look(volume, explanation, lines, before, after))
         if occasion:
             while len(run.waiting) > 1:
                 self._write(run.waiting.popleft(), BEFORE)

@@ -127,6 +127,7 @@ def _draw_slice(axes: Axes, explained: ExplainedVolume, name: str, needle: Array
     if len(explained.profile):
         fitted = show(explained.profile)
         axes.plot(*fitted.T, color=MEASURED, linestyle=":", linewidth=1.2, label="fitted axis")
+    most_probable = explained.line_ends[0] if through == "line" else np.zeros((0, 3))
     lines = [
         (show(_curve(points)), colour, style, label)
         for points, colour, style, label in (
@@ -134,7 +135,7 @@ def _draw_slice(axes: Axes, explained: ExplainedVolume, name: str, needle: Array
             (explained.after, ESTIMATED, "-", "estimate after"),
             (explained.predicted, PREDICTED, "-.", "predicted needle"),
             (explained.measured, MEASURED, "-", "measured needle"),
-            (explained.line_ends[0] if through == "line" else (), LINE, "-", "most probable line"),
+            (most_probable, LINE, "-", "most probable line"),
         )
         if len(points)
     ]
