@@ -27,8 +27,8 @@ QUICK = " ".join(
 )
 
 
-QUICKEST = ("1_the_loop", "3_your_own_probe", "5_needle_shape", "8_in_colab")
-"""One of a run, of parts, of a shape and of a page; the others are slow."""
+QUICKEST = ("1_the_loop", "5_needle_shape", "8_in_colab")
+"""One of a run, of a shape and of a page; the others are slow."""
 
 
 @pytest.mark.parametrize(
