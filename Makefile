@@ -9,13 +9,14 @@ ARGS ?=
 SHELL := /bin/bash
 # Programs start three times as fast from compiled modules, which pip leaves to the first import.
 unexport PYTHONDONTWRITEBYTECODE
-.PHONY: help compile run test test-quick fuzz bench docs notebooks pictures lint clean
+.PHONY: help compile run test test-slow test-quick fuzz bench docs notebooks pictures lint clean
 .PRECIOUS: $(VENV)/.installed.%
 .DEFAULT_GOAL := help
 
 help:
 	@echo "make run    simulate $(SCENARIO): the robot finds a needle and follows it"
 	@echo "make test   run the tests            make bench  run the benchmarks"
+	@echo "make test-slow   run the studies of minutes that make test leaves out (hours)"
 	@echo "make fuzz   damage files, scenarios and commands at random (an hour)"
 	@echo "make lint   ruff, mypy, imports      make clean  remove what was built"
 	@echo "make docs   build the documentation in build/docs"
@@ -41,10 +42,15 @@ compile: $(VENV)/.compiled
 run: $(VENV)/.compiled
 	@$(BIN)/sonoservo run $(SCENARIO) $(ARGS)
 
+# Whole loops come first in the alphabet, so that neither worker ends with a long one.
 test: $(VENV)/.installed.dev $(VENV)/.compiled
-	@$(BIN)/python -m pytest -n 2 --dist loadfile -rs $(ARGS)
+	@$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder --ignore=tests/benchmarks -rs $(ARGS)
 
-# The quick tests on another Python, and so another Drake, in an environment of its own.
+# What judges a behaviour over many seeds or minutes; a quick form of each is among the tests.
+test-slow: $(VENV)/.installed.dev $(VENV)/.compiled
+	@$(BIN)/python -m pytest -m slow -n 2 --dist loadscope -rs $(ARGS)
+
+# A few of the tests on another Python, and so another Drake, in an environment of its own.
 QUICK := tests/systems/robot tests/systems/control tests/systems/signals tests/systems/needle tests/systems/files \
 	tests/diagrams/test_station.py tests/diagrams/test_wiring.py tests/diagrams/test_probe_controller.py
 test-quick: $(VENV)/.installed.dev
@@ -56,8 +62,9 @@ fuzz: $(VENV)/.installed.dev
 
 bench: $(VENV)/.installed.dev $(VENV)/.compiled
 	@mkdir -p out
-	@$(BIN)/python -m pytest tests/benchmarks -m "not slow or bench" --benchmark-enable --benchmark-only --benchmark-min-rounds=3 --benchmark-max-time=0.5 --benchmark-json=out/bench.json $(ARGS)
-	@$(BIN)/python tests/benchmarks/plot_cost.py out/bench.json out/render_cost.png
+	@$(BIN)/python -m pytest -q tests/benchmarks -m "not slow or bench" --benchmark-enable --benchmark-only --benchmark-quiet \
+		--benchmark-min-rounds=3 --benchmark-max-time=0.5 --benchmark-json=out/bench.json $(ARGS); \
+	status=$$?; $(BIN)/python tests/benchmarks/table.py out/bench.json && exit $$status
 
 docs: $(VENV)/.compiled
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'

@@ -76,7 +76,12 @@ def MakeTrackerBench(
             "explanation_recorder",
             ExplanationRecorder(folder=explain, period=period, offset=offset),
         )
-        _connect(builder, tracker, recorder, ("estimate", "explanation", "detection"))
+        _connect(
+            builder,
+            tracker,
+            recorder,
+            ("estimate", "explanation", "lines_explanation", "detection"),
+        )
         builder.ConnectInput("volume", recorder.GetInputPort("volume"))
     ports = {name: logger.GetInputPort(name) for name in observed}
     if tracker.HasOutputPort("pose_errors") and "X_WP" in ports:

@@ -15,9 +15,9 @@ import numpy as np
 
 from sonoservo.diagrams.environment import FollowNeedle
 
-quick = bool(os.environ.get("SONOSERVO_QUICK"))
+quick = os.environ.get("SONOSERVO_QUICK", "").split()  # what the tests change, to be done sooner
 steps = 3 if quick else 45
-changes = ["hand.start=1.0", *(["scan_conversion.spacing=[2e-3,2e-3,2e-3]"] if quick else [])]
+changes = ["hand.start=1.0", *quick]
 environment = FollowNeedle(changes=changes)  # or gymnasium.make("sonoservo/FollowNeedle-v0")
 
 # %% [markdown]

@@ -69,17 +69,6 @@ def installed(wheel, tmp_path_factory):
     return folder
 
 
-def lend_kernels(installed):
-    """Copy the kernels that are compiled already: Numba takes them where path and time agree."""
-    (packages,) = installed.glob("lib/python*/site-packages/sonoservo")
-    for kernel in (path for folder in FOLDERS for path in (ROOT / folder).rglob("*.nb[ci]")):
-        copy = packages / kernel.relative_to(ROOT)
-        copy.parent.mkdir(exist_ok=True)
-        shutil.copy2(kernel, copy)
-    for name in package_files():
-        shutil.copystat(ROOT / name, packages / name)
-
-
 def run_scenario(installed, folder, *options):
     """Summary of a run by the installed command, from a folder elsewhere."""
     command = str(installed / "bin" / "sonoservo")
@@ -107,12 +96,6 @@ def test_the_installed_package_is_typed_and_its_own(installed):
         f" for name in {FOLDERS})"
     )
     call(str(installed / "bin" / "python"), "-c", code, cwd=installed)
-
-
-def test_the_installed_package_runs_a_scenario_from_elsewhere(installed, tmp_path):
-    lend_kernels(installed)
-    summary = run_scenario(installed, tmp_path, "--set", "duration=0.75")
-    assert summary["simulated_s"] == pytest.approx(0.75)
 
 
 @pytest.mark.slow

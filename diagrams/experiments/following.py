@@ -193,6 +193,7 @@ class FollowingExperiment(Experiment[FollowingScenario]):
                 "guard",
                 "hold_reason",
                 "lines",
+                "lines_explanation",
                 "volume_check",
             ),
             sees_truth={"station", *sources, *_OBSERVERS, *observers},

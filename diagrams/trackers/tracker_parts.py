@@ -140,6 +140,7 @@ def add_tracker_parts(
     builder.Connect(manager.GetOutputPort("estimate"), follower.GetInputPort("estimate"))
     builder.Connect(follower.GetOutputPort("lines"), manager.GetInputPort("lines"))
     builder.ExportOutput(follower.GetOutputPort("lines"), "lines")
+    builder.ExportOutput(follower.GetOutputPort("explanation"), "lines_explanation")
     return manager
 
 

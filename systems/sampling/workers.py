@@ -1,10 +1,17 @@
 """Threads that run compiled kernels beside the calling thread."""
 
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
+from itertools import pairwise
+from typing import TypeVar
 
 from joblib import cpu_count
 from numba import config
+
+T = TypeVar("T")
+
+_PARTS = 4
 
 
 @cache
@@ -17,3 +24,14 @@ def workers() -> ThreadPoolExecutor | None:
     """
     threads = min(int(config.NUMBA_NUM_THREADS), cpu_count())
     return ThreadPoolExecutor(threads, thread_name_prefix="kernels") if threads > 1 else None
+
+
+def by_parts(function: Callable[[slice], T], count: int) -> list[T]:
+    """Call a function with successive parts of a range, on as many threads as there are.
+
+    The parts do not depend on the number of threads.
+    """
+    ends = [count * part // _PARTS for part in range(_PARTS + 1)]
+    parts = [slice(*each) for each in pairwise(ends) if each[0] < each[1]]
+    pool = workers()
+    return list(map(function, parts) if pool is None else pool.map(function, parts))

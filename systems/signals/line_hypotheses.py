@@ -1,6 +1,6 @@
 """Lines of a volume that might be needles, with the probability that each is one."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from typing import Annotated
 
 import numpy as np
@@ -43,3 +43,29 @@ class LineHypotheses(Immutable):
 
     def __bool__(self) -> bool:
         return len(self.numbers) > 0
+
+    def best(self, count: int) -> "LineHypotheses":
+        """Return the most probable needles among the lines, the first one first."""
+        rows = np.argsort(-self.probabilities, kind="stable")[:count]
+        names = (each.name for each in fields(self) if each.name != "time")
+        return replace(self, **{name: getattr(self, name)[rows] for name in names})
+
+
+@dataclass(frozen=True, eq=False)
+class LinesExplanation(Immutable):
+    """The lines most like a needle, and what the volumes so far showed along the first of them."""
+
+    lines: LineHypotheses
+    """Most probable lines, the first one first."""
+
+    times: Annotated[Floats, Shape("v")]
+    """Times of the volumes that are remembered, in s."""
+
+    a: Annotated[Floats, Shape("b")]
+    """Abscissae along the first line in m, from its outer end towards its tip."""
+
+    contrasts: Annotated[NDArray[np.float32], Shape("v", "b", dtype=np.float32)]
+    """Contrasts along it, in dB."""
+
+    seen: Annotated[NDArray[np.bool_], Shape("v", "b", dtype=np.bool_)]
+    """Flags of those that the volumes show; the others are 0."""

@@ -1,14 +1,17 @@
 """One sweep of a motorised probe: its geometry, its motion and its samples."""
 
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Annotated, Self
+from typing import Annotated, Any, Self
 
 import numpy as np
+from numba import njit
 from numpy.typing import ArrayLike, NDArray
 from pydrake.math import RigidTransform
 
 from sonoservo.systems.sampling.interpolation import sample_grid
+from sonoservo.systems.sampling.kernels import OPTIONS
 from sonoservo.systems.signals.immutable import Immutable, Shape
 from sonoservo.systems.signals.point_spread import FWHM_PER_SIGMA, PointSpread
 from sonoservo.systems.signals.requirements import NotNegative, Positive, at_least, require
@@ -141,15 +144,19 @@ class SweepGeometry(Immutable):
 
     def index(self, p_P: ArrayLike, direction: int) -> tuple[NDArray[np.float64], ...]:
         """Return fractional frame, line and sample of positions in P; inverse of `position`."""
-        x, y, z = np.moveaxis(np.asarray(p_P, dtype=float), -1, 0)
-        y = y + self.motor_radius
-        q = self._centre_offset + np.hypot(y, z)
-        i = (np.hypot(q, x) - self.array_radius) / self.sample_pitch
-        j = np.arctan2(x, q) / self.line_pitch + (self.lines - 1) / 2
-        theta = np.arctan2(z, y)
-        step = (theta / (self.frame_pitch * self.frames) + 0.5) * (self.frames * self.lines - 1)
-        k = (step - (j if direction > 0 else self.lines - 1 - j)) / self.lines
-        return k, j, i
+        p_P = np.asarray(p_P, dtype=float)
+        found = np.empty((3, *p_P.shape[:-1]))
+        _index(p_P.reshape(-1, 3), direction, self._numbers, found.reshape(3, -1))
+        return tuple(found)
+
+    @cached_property
+    def _numbers(self) -> tuple[float, ...]:
+        """Numbers that `_index` needs."""
+        return (
+            self.motor_radius, self.array_radius, self._centre_offset, self.sample_pitch,
+            self.line_pitch, self.frame_pitch * self.frames, float(self.lines),
+            float(self.frames * self.lines - 1),
+        )  # fmt: skip
 
     def contains(self, p_P: ArrayLike) -> NDArray[np.bool_]:
         """Return True for positions in P in the part of the sector that both directions sweep."""
@@ -208,17 +215,39 @@ class SweepMotion(Immutable):
         They are interpolated between the poses of the two nearest frames.
         """
         p_P = np.asarray(p_P, dtype=float)
-        last = self.geometry.frames - 1
-        k = np.clip(self.geometry.index(p_P, self.direction)[0], 0, last)
-        below = np.clip(k.astype(int), 0, max(last - 1, 0))
-        above = np.minimum(below + 1, last)
-        weight = (k - below)[:, np.newaxis]
-        X = (1 - weight[..., np.newaxis]) * self.X_WP[below] + weight[..., np.newaxis] * self.X_WP[
-            above
-        ]
-        p_W = np.einsum("mij,mj->mi", X[:, :3, :3], p_P) + X[:, :3, 3]
-        times = (1 - weight[:, 0]) * self.times[below] + weight[:, 0] * self.times[above]
+        frames = self.geometry.index(p_P, self.direction)[0]
+        p_W, times = np.empty(p_P.shape), np.empty(len(p_P))
+        _to_world(p_P, frames, self.X_WP, self.times, p_W, times)
         return p_W, times
+
+
+@njit(**OPTIONS)
+def _index(p_P: Any, direction: int, numbers: Any, found: Any) -> None:  # pragma: no cover
+    motor_radius, array_radius, offset, sample_pitch, line_pitch, sector, lines, steps = numbers
+    for m in range(len(p_P)):
+        x, y, z = p_P[m, 0], p_P[m, 1] + motor_radius, p_P[m, 2]
+        q = offset + math.hypot(y, z)
+        line = math.atan2(x, q) / line_pitch + (lines - 1) / 2
+        step = (math.atan2(z, y) / sector + 0.5) * steps
+        found[0, m] = (step - (line if direction > 0 else lines - 1 - line)) / lines
+        found[1, m] = line
+        found[2, m] = (math.hypot(q, x) - array_radius) / sample_pitch
+
+
+@njit(**OPTIONS)
+def _to_world(  # pragma: no cover - compiled
+    p_P: Any, frames: Any, X_WP: Any, frame_times: Any, p_W: Any, times: Any
+) -> None:
+    last = len(frame_times) - 1
+    for m in range(len(p_P)):
+        frame = min(max(frames[m], 0.0), float(last))
+        k = min(int(frame), max(last - 1, 0)) if frame == frame else 0
+        below, above, weight = X_WP[k], X_WP[min(k + 1, last)], frame - k
+        x, y, z = p_P[m, 0], p_P[m, 1], p_P[m, 2]
+        for row in range(3):
+            a, b, c, d = (1 - weight) * below[row] + weight * above[row]
+            p_W[m, row] = a * x + c * z + b * y + d
+        times[m] = (1 - weight) * frame_times[k] + weight * frame_times[min(k + 1, last)]
 
 
 @dataclass(frozen=True, eq=False)

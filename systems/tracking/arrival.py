@@ -8,6 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from sonoservo.systems.sampling.workers import by_parts
 from sonoservo.systems.tracking.line_contrast import BIN
 
 Floats = NDArray[np.float64]
@@ -149,27 +150,26 @@ def _advancing(  # pragma: no cover - compiled
         for m in range(modes):
             tip[m, a] = start[m] * first[a] * math.exp(before[a] - top)
     result = top
-    reached = np.zeros(most)
+    passed = np.zeros(bins + 1)
     for t in range(1, times):
         mixed[:] = 0
         for m in range(modes):
             for n in range(modes):
                 for a in range(bins + 1):
                     mixed[n, a] += change[m, n] * tip[m, a]
+        # By the number of bins passed, so that the inner loops go along the line.
         tip[:] = 0
-        total = 0.0
-        for a in range(bins + 1):
-            reached[0] = 1.0
-            for d in range(1, most):
-                reached[d] = reached[d - 1] * factors[t, a + d - 1] if a + d <= bins else 0.0
+        passed[:] = 1
+        for d in range(min(most, bins + 1)):
+            if d > 0:
+                for a in range(bins + 1 - d):
+                    passed[a] *= factors[t, a + d - 1]
             for m in range(modes):
-                weight = mixed[m, a]
-                if weight > 0:
-                    for d in range(most):
-                        if a + d <= bins:
-                            one = weight * moves[t, m, d] * reached[d]
-                            tip[m, a + d] += one
-                            total += one
+                move, come, gone = moves[t, m, d], tip[m, d:], mixed[m]
+                if move > 0:
+                    for a in range(bins + 1 - d):
+                        come[a] += gone[a] * move * passed[a]
+        total = tip.sum()
         if total <= 0:
             return -1e3
         tip /= total
@@ -272,4 +272,9 @@ def class_logs(
         time.
     """
     all_moves = np.broadcast_to(moves, (logs.shape[1], *moves.shape))
-    return np.asarray(_class_logs(logs, riding, appearing, all_moves, *_hand(len(moves)), passing))
+    hand = _hand(len(moves))
+
+    def of(part: slice) -> Any:
+        return _class_logs(logs[part], riding[part], appearing, all_moves, *hand, passing[part])
+
+    return np.concatenate([np.zeros((0, 5)), *by_parts(of, len(logs))])

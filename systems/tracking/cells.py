@@ -131,7 +131,9 @@ def _shift_equations(  # pragma: no cover - compiled
     return H, g, unlike, count
 
 
-def tissue_shift(now: Cells, before: Cells, X_BN: Floats, starts: list[Floats]) -> Floats:
+def tissue_shift(
+    now: Cells, before: Cells, X_BN: Floats, starts: list[Floats]
+) -> tuple[Floats, Floats]:
     """Return the shift by which the tissue moved between two volumes, beyond the probe's poses.
 
     Breath, a late pose and a wrong calibration shift all that rests in the tissue alike, so one
@@ -149,11 +151,12 @@ def tissue_shift(now: Cells, before: Cells, X_BN: Floats, starts: list[Floats]) 
 
     Returns
     -------
-    (3,) shift in the probe's frame before, in m: what lies at p now lay at X_BN p + shift.
+    (3,) shift in the probe's frame before, in m: what lies at p now lay at X_BN p + shift; and
+    (3, 3) information about it in 1/m^2, little or none where one of them shows nothing.
     """
     M = X_BN[:3, :3] * now.edges / before.edges[:, np.newaxis]
     offset = (X_BN[:3, :3] @ now.origin + X_BN[:3, 3] - before.origin) / before.edges
-    best, least = np.zeros(3), np.inf
+    best, information, least = np.zeros(3), np.zeros((3, 3)), np.inf
     for start in starts:
         shift = start / before.edges
         for _ in range(_STEPS):
@@ -164,8 +167,9 @@ def tissue_shift(now: Cells, before: Cells, X_BN: Floats, starts: list[Floats]) 
                 break
             if unlike / count < least:
                 best, least = shift * before.edges, unlike / count
+                information = H / np.outer(before.edges, before.edges) / _UNLIKE**2
             step = np.clip(np.linalg.solve(H + 1e-3 * np.trace(H) * np.eye(3), g), -1, 1)
             shift = shift + step
             if np.abs(step).max() < _CONVERGED:
                 break
-    return best
+    return best, information

@@ -241,6 +241,8 @@ class InteractingFilter:
         Q = np.zeros_like(A)
         for model, motion in enumerate((self.steady, self.unsteady, self.carried, self.jerked)):
             n, rests = 3 * model, replace(motion, insertion=0.0)
+            # A jerk moves what is seen; what is not seen grows as a hand pushes.
+            grows = min(motion.insertion, self.carried.insertion)
             A[n, moving, moving], Q[n, moving, moving] = constant_velocity(
                 dt, motion.density(curve)
             )
@@ -248,7 +250,7 @@ class InteractingFilter:
                 dt, rests.density(curve)
             )
             A[n + 2, -2:, -2:], Q[n + 2, -2:, -2:] = constant_velocity(
-                dt, np.array([[motion.insertion]]), fades=self.unseen_time
+                dt, np.array([[grows]]), fades=self.unseen_time
             )
         means = (A @ x[..., np.newaxis])[..., 0]
         covariances = A @ P @ A.swapaxes(1, 2) + Q

@@ -14,8 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
 
-from sonoservo.systems.signals.immutable import Immutable
-from sonoservo.systems.signals.line_hypotheses import LINE_CLASSES, LineHypotheses
+from sonoservo.systems.signals.immutable import Immutable, NotFound
+from sonoservo.systems.signals.line_hypotheses import (
+    LINE_CLASSES,
+    LineHypotheses,
+    LinesExplanation,
+)
+from sonoservo.systems.signals.search_reason import SearchReason
 from sonoservo.systems.signals.volume import Volume, acquired_from
 from sonoservo.systems.tracking.arrival import add_volume, advances, class_logs
 from sonoservo.systems.tracking.cells import Cells, cells_of, tissue_shift
@@ -79,9 +84,9 @@ the most prominent lines that are followed, and that are judged by their looks."
 
 _LAGS = (1, 4, 12)
 
-_SHIFTS = np.array([0.0, -3e-3, 3e-3])
-"""Displacements in W along Z, in m, from which the tissue's is searched: breath is faster than its
-cells are large."""
+_SHIFT = 3e-3
+"""Length in m by which breath moves tissue along Z from volume to volume: more than a cell, so its
+displacement is searched from there, too."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -349,16 +354,23 @@ def _remember(volume: Volume, memory: Sequence[Remembered]) -> Remembered:
         return Remembered(volume, cells, np.zeros(3), np.zeros(3))
     last = memory[-1].displacement
     before = memory[-2].displacement if len(memory) > 1 else last
-    guesses = [2 * last - before, *(last + np.outer(_SHIFTS, [0.0, 0.0, 1.0]))]
-    found: list[Floats] = []
+    guesses = [2 * last - before, *(last + _SHIFT * np.outer([0, -1, 1], [0, 0, 1]))]
+    # Before anything is seen, tissue moves by a breath's step from volume to volume.
+    known = np.eye(3) / _SHIFT**2
+    weighted = known @ last
     for lag in range(1, len(memory) + 1):
         if lag in _LAGS:
             each = memory[-lag]
             R = each.volume.X_WP.rotation().matrix()
             X = each.volume.X_WP.inverse().multiply(volume.X_WP).GetAsMatrix4()
-            starts = [R.T @ (each.displacement - guess) for guess in found[:1] or guesses]
-            found.append(each.displacement - R @ tissue_shift(cells, each.cells, X, starts))
-    displacement = np.mean(found, axis=0)
+            starts = [R.T @ (each.displacement - guess) for guess in guesses]
+            shift, information = tissue_shift(cells, each.cells, X, starts)
+            found, information = each.displacement - R @ shift, R @ information @ R.T
+            known += information
+            weighted += information @ found
+            if lag == 1:
+                guesses = [found]
+    displacement = np.asarray(np.linalg.solve(known, weighted), np.float64)
     return Remembered(
         volume, cells, displacement, (displacement - last) / (volume.time - memory[-1].volume.time)
     )
@@ -495,10 +507,30 @@ def _along(fresh: Lines, number: int, lines: Lines) -> NDArray[np.int64]:
     return np.flatnonzero((off.max(axis=0) < _SAME) & (overlap > -2 * _OVERLAP))
 
 
+def explain_lines(belief: LineBelief, count: int = 6) -> LinesExplanation | NotFound:
+    """Return the most probable needles, and what all remembered volumes show along the first."""
+    if not belief.hypotheses:
+        return NotFound(SearchReason.NO_BRIGHT_LINE(" is followed"))
+    best = belief.hypotheses.best(count)
+    line = belief.lines.take(np.flatnonzero(belief.lines.numbers == best.numbers[0]))
+    outer, sense = (1, -1) if _backwards(line)[0] else (0, 1)
+    shown = [_shown_at(line, each).along.contrasts[0, ::sense] for each in belief.memory]
+    a = sense * (MIDDLES - _stretches_seen(line)[0, outer])
+    times = np.array([each.volume.time for each in belief.memory])
+    return LinesExplanation(best, times, a[::sense], np.nan_to_num(shown), np.isfinite(shown))
+
+
+def _stretches_seen(lines: Lines) -> Floats:
+    """Return (n, 2) abscissae in m between which the lines stand out in the newest volume."""
+    firsts, lasts, _ = stretches(lines.contrasts)
+    return np.stack(
+        [MIDDLES[firsts] - BIN / 2, MIDDLES[np.maximum(lasts, firsts)] + BIN / 2], axis=1
+    )
+
+
 def _seen_ends(lines: Lines) -> Floats:
     """Return (n, 2, 3) ends of the stretches that stand out in the newest volume, in the tissue."""
-    firsts, lasts, _ = stretches(lines.contrasts)
-    a = np.stack([MIDDLES[firsts] - BIN / 2, MIDDLES[np.maximum(lasts, firsts)] + BIN / 2], axis=1)
+    a = _stretches_seen(lines)
     return lines.points[:, np.newaxis] + a[..., np.newaxis] * lines.directions[:, np.newaxis]
 
 

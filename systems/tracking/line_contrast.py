@@ -4,7 +4,7 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit, vectorize
+from numba import njit
 from numpy.typing import NDArray
 
 from sonoservo.systems.sampling.interpolation import trilinear
@@ -288,14 +288,20 @@ def _density(contrast: float, parts: Any) -> float:  # pragma: no cover - compil
     return (1 - _RARE) * usual + _RARE * rare
 
 
-@vectorize(["float64(float32)", "float64(float64)"], cache=True)
-def log_ratio(contrast: Any) -> Any:  # pragma: no cover - compiled
-    """Return the logarithm of the likelihood ratio of a contrast in dB: a line against nothing."""
-    if math.isnan(contrast):
-        return math.nan
-    contrast = max(contrast, _DARKEST)
-    ratio = _density(contrast, _LINE) / _density(contrast, _NOTHING)
-    return min(max(math.log(max(ratio, 1e-30)), -_SUREST), _SUREST)
+@njit(cache=True, nogil=True, error_model="numpy")
+def _log_ratios(contrasts: Any, ratios: Any) -> None:  # pragma: no cover - compiled
+    for n in range(len(contrasts)):
+        contrast = max(contrasts[n], _DARKEST)
+        ratio = _density(contrast, _LINE) / _density(contrast, _NOTHING)
+        likely = min(max(math.log(max(ratio, 1e-30)), -_SUREST), _SUREST)
+        ratios[n] = math.nan if math.isnan(contrasts[n]) else likely
+
+
+def log_ratio(contrasts: NDArray[Any]) -> Floats:
+    """Return the logarithms of the likelihood ratios of contrasts in dB: a line against nothing."""
+    ratios = np.empty(contrasts.shape)
+    _log_ratios(contrasts.reshape(-1), ratios.reshape(-1))
+    return ratios
 
 
 class Change(NamedTuple):
@@ -318,10 +324,17 @@ ALL_NEW = Change(1.0, 1.0)
 """What is shown where nothing was shown before."""
 
 
-@vectorize(["float64(float32)", "float64(float64)"], cache=True)
-def _nothing(contrast: Any) -> Any:  # pragma: no cover - compiled
-    """Return the density of a contrast in dB where there is nothing, up to a constant."""
-    return _density(max(contrast, _DARKEST), _NOTHING)
+@njit(cache=True, nogil=True, error_model="numpy")
+def _densities_of_nothing(contrasts: Any, densities: Any) -> None:  # pragma: no cover - compiled
+    for n in range(len(contrasts)):
+        densities[n] = _density(max(contrasts[n], _DARKEST), _NOTHING)
+
+
+def _nothing(contrasts: NDArray[Any]) -> Floats:
+    """Return the densities of contrasts in dB where there is nothing, up to a constant."""
+    densities = np.empty(contrasts.shape)
+    _densities_of_nothing(contrasts.reshape(-1), densities.reshape(-1))
+    return densities
 
 
 def repeat_ratio(now: LineLevels, before: NDArray[Any], change: Change) -> Floats:

@@ -4,13 +4,13 @@ from pydrake.common.value import Value
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from sonoservo.systems.signals.immutable import NotFound
-from sonoservo.systems.signals.line_hypotheses import LineHypotheses
+from sonoservo.systems.signals.line_hypotheses import LineHypotheses, LinesExplanation
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
 from sonoservo.systems.signals.ports import declare_inputs, declare_output, evaluate
 from sonoservo.systems.signals.requirements import require_not_negative, require_positive
 from sonoservo.systems.signals.search_reason import SearchReason
 from sonoservo.systems.signals.volume import Volume
-from sonoservo.systems.tracking.line_belief import LineBelief, follow
+from sonoservo.systems.tracking.line_belief import LineBelief, explain_lines, follow
 
 
 class LineFollower(LeafSystem):
@@ -25,11 +25,13 @@ class LineFollower(LeafSystem):
         output_ports:
         - lines
         - belief
+        - explanation
 
     ``estimate`` is the `NeedleEstimate` before the volume. While a needle is followed, nobody needs
     the other lines, and they are forgotten. ``lines`` are the `LineHypotheses` after the volume
     at the input, and ``belief`` the `LineBelief` from which they follow; they are a `NotFound` if
-    there are none. They depend on the state, on the estimate and on that volume.
+    there are none. They depend on the state, on the estimate and on that volume. ``explanation`` is
+    the `LinesExplanation` of the lines, computed only where it is asked for.
 
     Parameters
     ----------
@@ -58,6 +60,9 @@ class LineFollower(LeafSystem):
             self, "belief", (LineBelief, NotFound), self._calc_belief, inputs
         )
         declare_output(self, "lines", (LineHypotheses, NotFound), self._calc_lines, inputs)
+        declare_output(
+            self, "explanation", (LinesExplanation, NotFound), self._calc_explanation, inputs
+        )
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, offset, self._update)
         self.DeclareForcedUnrestrictedUpdateEvent(self._update)
 
@@ -85,6 +90,10 @@ class LineFollower(LeafSystem):
             followed = NotFound(SearchReason.TRACKED())
             belief = belief.hypotheses if belief.memory else followed
         output.set_value(belief)
+
+    def _calc_explanation(self, context: Context, output: Value) -> None:
+        belief = self._after.Eval(context)
+        output.set_value(explain_lines(belief) if isinstance(belief, LineBelief) else belief)
 
     def _update(self, context: Context, state: State) -> EventStatus:
         belief = self._after.Eval(context)

@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from sonoservo.systems.sampling.workers import workers
+from sonoservo.systems.sampling.workers import by_parts
 from sonoservo.systems.tracking.cells import Cells
 
 Floats = NDArray[np.float64]
@@ -27,9 +27,6 @@ tissue beside them a line; and largest contrast of a line above that of its dark
 HALF_LENGTH, _BESIDE, _STEP, _APART = 10e-3, 4.5e-3, 0.2, 4e-3
 """Half the length of a line and distance of the parallel lines in m, angle between neighbouring
 directions in rad, and smallest distance in m between parallel lines that are two."""
-
-_PARTS = 4
-"""Number of parts in which the directions are tried."""
 
 
 @njit(cache=True, nogil=True)
@@ -81,11 +78,14 @@ def _line_contrasts(  # pragma: no cover - compiled
             other = whole[margin + beside[d, s] : margin + beside[d, s] + n]
             for x in range(n):
                 side[x] = max(side[x], other[x])
+        number = np.int16(d)
         for x in range(n):
-            darker = min(ahead[x], behind[x]) * cells_of_line + uneven
-            contrast = np.int16(min(line[x] * half, darker) - side[x] * half)
-            if contrast > best[x]:
-                best[x], direction[x] = contrast, d
+            # Every intermediate value is short, and there is no branch: the compiler makes vectors.
+            darker = np.int16(np.int16(min(ahead[x], behind[x]) * cells_of_line) + uneven)
+            contrast = np.int16(min(np.int16(line[x] * half), darker) - np.int16(side[x] * half))
+            more = np.int16(contrast > best[x])
+            best[x] = max(best[x], contrast)
+            direction[x] += np.int16(more * np.int16(number - direction[x]))
     return best, direction
 
 
@@ -140,12 +140,11 @@ def _around(directions: Floats, count: int = 8) -> Floats:
 def _all_contrasts(levels: Any, margin: int, along: Any, beside: Any) -> tuple[Any, Any]:
     """Return what `_line_contrasts` does, from as many threads as there are."""
 
-    def contrasts(part: NDArray[np.int64]) -> tuple[Any, Any]:
+    def contrasts(part: slice) -> tuple[Any, Any]:
         contrast, number = _line_contrasts(levels, margin, along[part], beside[part])
-        return contrast, number + part[0]
+        return contrast, number + part.start
 
-    pool, parts = workers(), np.array_split(np.arange(len(along)), _PARTS)
-    (best, direction), *rest = map(contrasts, parts) if pool is None else pool.map(contrasts, parts)
+    (best, direction), *rest = by_parts(contrasts, len(along))
     for contrast, number in rest:
         better = contrast > best
         best, direction = np.where(better, contrast, best), np.where(better, number, direction)

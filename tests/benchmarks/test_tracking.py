@@ -6,10 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from skimage.feature import match_template
-from skimage.measure import LineModelND, ransac
 from synthetic_volumes import Scene, entry_on_side
 
-from sonoservo.diagrams import load_scenario, run
 from sonoservo.diagrams.papers.zhao2012.phantom import DIRECTION, TOWARDS, Phantom, StraightNeedle
 from sonoservo.diagrams.papers.zhao2012.tracking import BMode, Tracking
 from sonoservo.systems.shape.normalized_cross_correlation import normalized_cross_correlation
@@ -18,7 +16,6 @@ from sonoservo.systems.signals.needle_prediction import NeedlePrediction
 from sonoservo.systems.tracking.line_belief import LineBelief, follow
 from sonoservo.systems.tracking.localizer_parameters import NeedleLocalizerParameters
 from sonoservo.systems.tracking.pipeline import localize
-from sonoservo.systems.tracking.ransac import ransac_axis
 
 ENTRY = entry_on_side()
 TIP = ENTRY + np.array([0.045, 0.012, 0.005])
@@ -53,15 +50,14 @@ def test_follow(benchmark, volumes):
     compare(benchmark, "the paper's acquisition, 175 ms a volume", 0.175)
 
 
-@pytest.mark.parametrize("order", [2, 3])
-@pytest.mark.parametrize("everywhere", [False, True])
-def test_localize(benchmark, volumes, order, everywhere):
+@pytest.mark.parametrize("everywhere", [False, True], ids=["predicted", "everywhere"])
+def test_localize(benchmark, volumes, everywhere):
     prediction = NeedlePrediction(
-        order,
+        2,
         0.0,
-        NeedleCurve(np.linspace(ENTRY, TIP, order)),
-        np.zeros((order, 3)),
-        1e-6 * np.eye(3 * order),
+        NeedleCurve([ENTRY, TIP]),
+        np.zeros((2, 3)),
+        1e-6 * np.eye(6),
         ENTRY,
         everywhere=everywhere,
     )
@@ -70,47 +66,6 @@ def test_localize(benchmark, volumes, order, everywhere):
     found = benchmark(lambda: localize(volumes[1], prediction, parameters, rng))
     assert np.linalg.norm(found.curve.tip - TIP) < 3e-3
     compare(benchmark, "the paper's acquisition, 175 ms a volume", 0.175)
-
-
-@pytest.fixture(scope="module", params=["chatelain2013_fig5", "chatelain2013_fig6"])
-def candidate_sets(request):
-    """What the localizer of a real run passes to the consensus."""
-    calls = []
-
-    def record(points, weights, **options):
-        calls.append((points, weights, options))
-        return ransac_axis(points, weights, **options)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("sonoservo.systems.tracking.region_localization.ransac_axis", record)
-        run(load_scenario(request.param, seed=100))
-    return calls
-
-
-@pytest.mark.slow
-def test_ransac(benchmark, candidate_sets):
-    rng = np.random.default_rng(0)
-
-    def ours():
-        for points, weights, options in candidate_sets:
-            ransac_axis(points, weights, **(options | {"rng": rng}))
-
-    def theirs():
-        for points, _, options in candidate_sets:
-            parameters = options["parameters"]
-            ransac(
-                points,
-                LineModelND,
-                2,
-                parameters.residual_threshold,
-                max_trials=parameters.max_trials,
-                stop_probability=parameters.stop_probability,
-                rng=rng,
-            )
-
-    benchmark(ours)
-    benchmark.extra_info["candidate_sets"] = len(candidate_sets)
-    compare(benchmark, "scikit-image: measure.ransac", median_time(theirs))
 
 
 @pytest.mark.parametrize("dtype", ["float64", "float32"])

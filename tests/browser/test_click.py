@@ -74,12 +74,6 @@ def test_the_slice_is_the_first_that_arrives(lost, seed):
     assert (len(seen) < 11) == (lost > 0)
 
 
-def test_there_is_nothing_to_click_on_in_a_scenario_of_following():
-    scenario = load_scenario("chatelain2013_fig5")
-    with pytest.raises(ConfigurationError, match="one of 'shape_prediction' is needed"):
-        ask_click(scenario, Terminal(file=io.StringIO()), Page())
-
-
 def test_a_scanner_that_loses_every_slice_leaves_nothing_to_click_on(scenario):
     lost = load_scenario(
         "carriere2016_d60", changes={**SHORT, "scanner.connection.lost_sweeps": 0.999}, seed=100

@@ -129,14 +129,6 @@ def test_the_needle_is_beside_its_echo_and_can_be_switched_off(open_page, consol
     assert right[0] == pytest.approx(other[0], rel=0.06)
 
 
-STATES = {
-    "tracking": "path, circle.tracking",
-    "coasting": "path.coasting",
-    "lost": "path.lost",
-    "searching": "circle.searching",
-}
-
-
 SHAPE = """
 () => [...document.getElementById('mark').children]
   .filter(each => each.style.display != 'none').map(each => each.outerHTML.slice(0, 40)).join()
@@ -247,6 +239,7 @@ def test_gain_window_planes_and_cine(open_page, console, shown):
     eventually(page, lambda: check_needle(page, *shown[1]))
 
 
+@pytest.mark.slow
 def test_every_page_shows_the_newest_and_two_share_the_sliders(open_page, console, shown):
     console.controls.offer(controller_controls(gain=1.6, force=2.0, min_force=0.5))
     first = open_page(console.web_url)
@@ -296,6 +289,7 @@ def check_pressed(console, wanted):
     assert not wanted
 
 
+@pytest.mark.slow
 def test_a_page_says_when_its_server_ends_and_goes_on_with_the_next(open_page, shown, monkeypatch):
     port = 8640  # no other test looks here
     with Site(port=port) as site:
@@ -315,6 +309,7 @@ def test_a_page_says_when_its_server_ends_and_goes_on_with_the_next(open_page, s
         page.close()
 
 
+@pytest.mark.slow
 def test_nothing_piles_up_in_a_page_and_a_slow_one_skips(open_page, console, shown):
     page = open_page(console.web_url)
     models = "Bokeh.documents[0]._all_models.size"

@@ -38,6 +38,7 @@ async url => {
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("origin", ["http://evil.example", "http://localhost:9999"])
 def test_a_foreign_page_is_refused_though_the_run_is_open_beside_it(meshcat, browser, origin):
     context = browser.new_context(viewport={"width": 100, "height": 100})
@@ -84,6 +85,7 @@ async ([url, token]) => {
 """
 
 
+@pytest.mark.slow
 def test_a_foreign_page_neither_reads_nor_steers_a_console(browser, open_page):
     with Site() as site:
         console = Console(site)

@@ -98,6 +98,7 @@ def is_violet(colours):
     return np.minimum(colours[..., 0], colours[..., 2]) - colours[..., 1] > 50
 
 
+@pytest.mark.slow
 def test_pages_that_come_and_go_change_nothing(run):
     alone = Run()
     assert run.times == alone.times
@@ -116,7 +117,8 @@ def test_a_page_opened_late_shows_everything_and_each_layer_can_be_switched_off(
 
     def check():
         picture = screenshot(page)
-        for point in project(page, np.linspace(curve.entry, curve.tip, 9)[1:-1]):
+        # What is stated of the tip covers the last quarter.
+        for point in project(page, np.linspace(curve.entry, curve.tip, 9)[1:-2]):
             assert is_green(patch(picture, point)).any()
         assert is_violet(patch(picture, project(page, curve.tip))).any()
         hub = "viewer.scene_tree.find(['needle', 'hub', '0']).object.position.toArray()"
@@ -155,6 +157,7 @@ def volume_of(grey, time):
     return Volume(np.full((31, 31, 31), grey, np.uint8), origin, spacing, X_WP, time)
 
 
+@pytest.mark.slow
 def test_every_new_volume_is_seen_and_what_is_off_stays_off(meshcat, open_page):
     view = WorldView(meshcat=meshcat)
     context = view.CreateDefaultContext()
@@ -213,6 +216,7 @@ def check_the_probe_is_inside(page):
     assert np.abs(corners).max() < 1
 
 
+@pytest.mark.slow
 def test_the_probe_is_in_the_frame(run, open_page):
     page = open_world(open_page, run.meshcat.web_url())
     for width, height in ((506, 590), (800, 700)):  # as the console has it at its least and most
@@ -257,6 +261,7 @@ def test_the_replay_plays_by_itself_in_step(run, replay, open_page):
         np.testing.assert_allclose(page.evaluate(face), p_WP, atol=5e-4)
 
 
+@pytest.mark.slow
 def test_the_console_winds_the_world_of_a_kept_run(replay, open_page):
     with Site() as site:
         site.add("report", "Report", [("(.*)", Files, {"path": str(replay.parent)})])

@@ -75,7 +75,7 @@ def test_implausible_volumes_are_refused_and_tracking_goes_on(volumes, estimates
         replace(good, time=good.time + 10.0),  # which once blinded the tracker until then
         replace(good, intensities=blank),
         volumes[first - 2],
-        *volumes[first : first + 8],
+        *volumes[first : first + 2],
     ]
     results = list(track(fed))
     for refused in results[first : first + 3]:
@@ -114,7 +114,7 @@ def test_simulation_gives_the_same_as_plain_python(volumes, estimates):
     port.FixValue(context, Value[object](NotFound("no sweep")))
     simulator.AdvanceTo(0.2)
     assert tracker.GetOutputPort("estimate").Eval(context).volume_time == -np.inf
-    for k, volume in enumerate(volumes[:20]):
+    for k, volume in enumerate(volumes[:16]):
         port.FixValue(context, Value[object](volume))
         simulator.AdvanceTo(0.2 + PERIOD * (k + 1))
         simulator.AdvancePendingEvents()
@@ -125,12 +125,12 @@ def test_simulation_gives_the_same_as_plain_python(volumes, estimates):
                 estimate.curve.control_points, estimates[k].curve.control_points
             )
     measurement = tracker.GetOutputPort("measurement").Eval(context)
-    assert measurement.time == pytest.approx(volumes[19].time, abs=0.5 * PERIOD)
+    assert measurement.time == pytest.approx(volumes[15].time, abs=0.5 * PERIOD)
     assert not tracker.GetOutputPort("detection").Eval(context)
 
 
 def test_static_tissue_starts_nothing():
-    assert not any(track(SCENE.volume(number) for number in range(12)))
+    assert not any(track(SCENE.volume(number) for number in range(8)))
 
 
 def test_bent_needles_have_three_control_points(volumes):
@@ -162,6 +162,7 @@ def test_zhao_s_tracker_has_the_same_face(volumes, zhao):
     assert zhao[-1].mode == TrackingMode.SEARCHING
 
 
+@pytest.mark.slow
 def test_the_published_trackers_follow_the_same_needle(volumes):
     # Zhao's searches the whole volume in every volume, so nothing else in it may be as bright.
     empty = replace(SCENE, balls=[], rods=[])
@@ -185,7 +186,7 @@ def test_every_tracker_has_one_face(parameters):
     outputs = [tracker.get_output_port(n).get_name() for n in range(tracker.num_output_ports())]
     assert inputs == ["volume"]
     assert outputs[:5] == ["estimate", "measurement", "detection", "explanation", "volume_check"]
-    assert outputs[5:] in ([], ["lines"])
+    assert outputs[5:] in ([], ["lines", "lines_explanation"])
     # All that reaches an output at once is the explanation: the estimate is a state.
     assert [tracker.HasDirectFeedthrough(n) for n in range(4)] == [False, False, False, True]
     assert tracker.get_name() == "needle_tracker"
@@ -232,18 +233,6 @@ def test_a_tracker_may_take_another_s_filter(volumes):
         Chatelain2013TrackerParameters(order=3, filter=AxisTipFilter())
 
 
-def test_an_estimate_is_there_before_the_next_volume_is_made():
-    made = []
-
-    def live():
-        for number in range(3):
-            made.append(number)
-            yield SCENE.volume(number)
-
-    for count, _ in enumerate(track(live()), start=1):
-        assert len(made) == count
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -254,11 +243,6 @@ def test_an_estimate_is_there_before_the_next_volume_is_made():
 def test_what_is_no_volumes_or_no_parameters_is_a_sentence(arguments, message):
     with pytest.raises(ConfigurationError, match=message):
         track(arguments[0], parameters=arguments[1] if len(arguments) > 1 else None)
-
-
-def test_a_value_that_is_no_volume_names_the_port():
-    with pytest.raises(TypeError, match=r"port 'volume' of .* received a value of type ndarray"):
-        next(track([np.zeros((3, 3, 3))]))
 
 
 def test_a_custom_tracker_needs_a_tracker_s_ports():

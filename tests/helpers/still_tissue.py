@@ -10,6 +10,7 @@ from synthetic_volumes import GEOMETRY, grid
 
 from sonoservo.systems.recording.recording import Recording
 from sonoservo.systems.recording.recording_writer import RecordingWriter
+from sonoservo.systems.signals.immutable import seal
 from sonoservo.systems.signals.sweep import SweepMotion
 from sonoservo.systems.signals.volume import Volume
 
@@ -38,6 +39,28 @@ def wandering(time):
     return RigidTransform(RollPitchYaw(angles), np.array([3e-3, 1.5e-3, 2.5e-3]) * waves[3:])
 
 
+def swept(path, number):
+    """Motion of the sweep of a number along a path."""
+    direction = 1 if number % 2 == 0 else -1
+    times = PERIOD * number + direction * GEOMETRY.frame_period * (np.arange(GEOMETRY.frames) - 12)
+    return SweepMotion(GEOMETRY, direction, times, [path(t).GetAsMatrix4() for t in times])
+
+
+@lru_cache(maxsize=64)
+def shown(path, number, ball):
+    """Grey levels of a volume from true poses, which no error of the measured ones changes."""
+    low, spacing, p_P, inside = grid(PITCH)
+    p_W = swept(path, number).to_world(p_P[inside])[0]
+    decibels, first = speckle()
+    seen = map_coordinates(decibels, ((p_W - first) / STEP).T, order=1, mode="nearest")
+    seen += 1.5 * np.random.default_rng(number).normal(size=seen.shape)
+    if ball is not None:
+        seen[np.linalg.norm(p_W - ball, axis=1) < 6e-3] = 20.0
+    grey = np.zeros(inside.shape, np.uint8)
+    grey[inside] = np.clip(np.round((seen + 40) * 255 / 60), 1, 255)
+    return seal(grey), low, spacing
+
+
 @dataclass(frozen=True)
 class LyingProbe:
     """Makes volumes from true poses, and labels them with measured ones."""
@@ -49,26 +72,12 @@ class LyingProbe:
     def measured(self, time):
         return self.path(time - self.delay).multiply(self.X_PI.inverse())
 
-    def volume(self, number, noise_db=1.5, ball=None):
+    def volume(self, number, ball=None):
         """Volume of a number; where a moving ball is, in W, all is bright."""
-        low, spacing, p_P, inside = grid(PITCH)
-        direction = 1 if number % 2 == 0 else -1
-        frames = np.arange(GEOMETRY.frames)
-        times = PERIOD * number + direction * GEOMETRY.frame_period * (frames - 12)
-        middle = float(times[12])
-        true, said = (
-            SweepMotion(GEOMETRY, direction, times, [X(t).GetAsMatrix4() for t in times])
-            for X in (self.path, self.measured)
-        )
-        p_W = true.to_world(p_P[inside])[0]
-        decibels, first = speckle()
-        seen = map_coordinates(decibels, ((p_W - first) / STEP).T, order=1, mode="nearest")
-        seen += noise_db * np.random.default_rng(number).normal(size=seen.shape)
-        if ball is not None:
-            seen[np.linalg.norm(p_W - ball, axis=1) < 6e-3] = 20.0
-        grey = np.zeros(inside.shape, np.uint8)
-        grey[inside] = np.clip(np.round((seen + 40) * 255 / 60), 1, 255)
-        return Volume(grey, low, spacing, self.measured(middle), middle, said)
+        motion = swept(self.measured, number)
+        grey, low, spacing = shown(self.path, number, None if ball is None else tuple(ball))
+        middle = float(motion.times[12])
+        return Volume(grey, low, spacing, self.measured(middle), middle, motion)
 
     def record(self, path, count):
         """Recording of the first volumes."""

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 from pydrake.geometry import Ellipsoid, SceneGraph
-from pydrake.multibody.parsing import PackageMap, Parser
+from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
@@ -89,14 +89,6 @@ def test_every_model_parses_and_steps(name):
     assert plant.num_bodies() > 1
 
 
-def test_the_models_asked_for_are_there():
-    assert set(ROBOTS) == set(DH)
-    assert PROBES == ["4dc7_3_40", "4dl14_5_38", "matrix", "trus", "zhao2012"]
-    papers, shapes = {"agar", "beef", "beef_two_needles", "prostate"}, {"abdomen", "limb", "liver"}
-    assert set(PHANTOMS) == papers | shapes | {"calcified", "clinic", "rough", "slow"}
-    assert {"robots/viper_s850.urdf", "probes/4dc7_3_40.sdf", "phantoms/phantom.sdf"} <= set(MODELS)
-
-
 @pytest.mark.parametrize(
     ("arm", "probe", "phantom"),
     [
@@ -169,24 +161,3 @@ def test_dome_has_the_radii_of_the_transducer():
         height=0.0,
     )
     np.testing.assert_allclose([dome.a(), dome.b(), dome.c()], semi_axes, atol=2e-5)
-
-
-def test_housing_is_a_closed_surface_behind_the_dome():
-    text = model_path("probes/4dc7_3_40_housing.obj").read_text().splitlines()
-    vertices = np.array([line.split()[1:] for line in text if line.startswith("v ")], dtype=float)
-    assert vertices[:, 1].max() < 0
-    assert np.abs(vertices).max() < 0.2
-    faces = [line.split()[1:] for line in text if line.startswith("f ")]
-    indices = {int(corner.split("//")[0]) for face in faces for corner in face}
-    assert indices == set(range(1, len(vertices) + 1))
-
-
-def test_package_url_resolves():
-    packages = PackageMap()
-    packages.AddPackageXml(str(model_path("package.xml")))
-    assert packages.GetPath("sonoservo").rstrip("/") == str(FOLDER)
-
-
-def test_unknown_model_names_those_there_are():
-    with pytest.raises(FileNotFoundError, match=r"'robots/viper\.urdf'.*viper_s850\.urdf"):
-        model_path("robots/viper.urdf")

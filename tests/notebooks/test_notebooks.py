@@ -21,11 +21,23 @@ QUICK = " ".join(
         "hand.pushes.0.speed=0.02",
         "station.probe.height=0.004",
         "station.plant.contact_model=point",
+        "scan_conversion.spacing=[1e-3,1e-3,1e-3]",
+        "imaging.sector=0.55",
     ]
 )
 
 
-@pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.stem)
+QUICKEST = ("1_the_loop", "5_needle_shape", "8_in_colab")
+"""One of a run, of a shape and of a page; the others are slow."""
+
+
+@pytest.mark.parametrize(
+    "script",
+    [
+        pytest.param(path, id=path.stem, marks=[pytest.mark.slow] * (path.stem not in QUICKEST))
+        for path in SCRIPTS
+    ],
+)
 def test_every_cell_runs_and_shows_what_it_ends_with(script, monkeypatch, capsys):
     """In this process: a kernel for each would load everything anew."""
     monkeypatch.setenv("SONOSERVO_QUICK", QUICK)
@@ -40,11 +52,6 @@ def test_every_cell_runs_and_shows_what_it_ends_with(script, monkeypatch, capsys
     matplotlib.pyplot.close("all")
     shell.reset()
     gc.collect()  # Drake aborts where a Meshcat ends on another thread than its own
-
-
-def test_there_are_eight():
-    assert len(SCRIPTS) == 8
-    assert [path.with_suffix(".ipynb") for path in SCRIPTS] == sorted(NOTEBOOKS.glob("*.ipynb"))
 
 
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.stem)

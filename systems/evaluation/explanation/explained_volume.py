@@ -21,6 +21,7 @@ from sonoservo.systems.evaluation.run_errors import at_times
 from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.leaves import declare_looks, declare_memory
+from sonoservo.systems.signals.line_hypotheses import LinesExplanation
 from sonoservo.systems.signals.localization_explanation import (
     LocalizationAttempt,
     LocalizationExplanation,
@@ -89,8 +90,17 @@ class ExplainedVolume(Log):
     tip_seen: Array = column("probability that the tip is seen", "")
     leaves: Array = column("whether it goes on beyond what was searched or seen", "", "", "?")
 
+    line_numbers: Array = column("lines most like a needle, the first one first", "", "l")
+    line_probabilities: Array = column("probabilities that each is one", "", "l")
+    line_classes: Array = column("probabilities of what each is by its motion", "", "l 5")
+    line_looks: Array = column("log odds by its looks alone", "", "l")
+    line_ends: Array = column("their ends, the tip last", "m", "l 2 3")
+    history_times: Array = column("times of the volumes remembered", "s", "v")
+    history_a: Array = column("abscissae along the first line, from its outer end", "m", "g")
+    history: Array = column("contrasts along it in each of these volumes", "dB", "v g", "f4")
+
     sliced: Array = column(
-        "curve in the slices: measured, predicted, estimated, or none", "", "", "U"
+        "curve in the slices: measured, predicted, estimated, line, or none", "", "", "U"
     )
     slice_origin: Array = column("its tip in P; zero without one", "m", "3")
     beam_slice: Array = column("slice along needle and beam", "", "h w", "u1")
@@ -140,11 +150,12 @@ def explain_volume(
     volume: Volume,
     explanation: LocalizationExplanation,
     *,
+    lines: LinesExplanation | None = None,
     before: NeedleEstimate | None,
     after: NeedleEstimate,
     occasion: str,
 ) -> ExplainedVolume:
-    """Return the record of a tracker's search in a volume."""
+    """Return the record of a tracker's search in a volume, along lines that it follows, if any."""
     predicted, measured = explanation.prediction, explanation.measurement
     curves = {
         "measured": measured.curve if isinstance(measured, NeedleMeasurement) else None,
@@ -152,14 +163,16 @@ def explain_volume(
         "after": after.curve,
         "before": before.curve if before is not None else None,
     }
-    drawn = next(
-        (name for name in ("measured", "predicted", "after") if curves[name] is not None), "none"
-    )
     arrays: dict[str, Any] = {
         name: each.missing([extent if isinstance(extent, int) else 0 for extent in each.shape])
         for name, each in columns(ExplainedVolume).items()
     }
     arrays |= {name: each.control_points for name, each in curves.items() if each is not None}
+    if lines is not None:
+        curves["line"] = NeedleCurve(lines.lines.ends[0])
+    drawn = next(
+        (each for each in ("measured", "predicted", "after", "line") if curves.get(each)), "none"
+    )
     arrays |= _slices(volume, curves.get(drawn)) | _search(explanation)
     arrays |= {
         "volume_time": volume.time,
@@ -173,6 +186,11 @@ def explain_volume(
         "after_time": after.time,
         "sliced": "estimated" if drawn == "after" else drawn,
     }
+    if lines is not None:
+        names = ("numbers", "probabilities", "classes", "looks", "ends")
+        arrays |= {f"line_{name}": getattr(lines.lines, name) for name in names}
+        arrays |= {"history_times": lines.times, "history_a": lines.a}
+        arrays["history"] = np.where(lines.seen, lines.contrasts, np.nan)
     if (motion := volume.motion) is not None:
         arrays |= {"frame_times": motion.times, "frame_X_WP": motion.X_WP}
         arrays |= {"direction": motion.direction, "geometry": astuple(motion.geometry)}
@@ -274,6 +292,7 @@ class _Look(NamedTuple):
 
     volume: Volume
     explanation: LocalizationExplanation
+    lines: LinesExplanation | None
     before: NeedleEstimate | None
     after: NeedleEstimate
 
@@ -299,6 +318,7 @@ class ExplanationRecorder(LeafSystem):
         - volume
         - estimate
         - explanation
+        - lines_explanation (optional)
         - detection (optional)
 
     A volume is kept when the tracker's mode changes, at the first detection and when the tip jumps
@@ -339,6 +359,7 @@ class ExplanationRecorder(LeafSystem):
             volume=(Volume, NotFound),
             estimate=NeedleEstimate,
             explanation=(LocalizationExplanation, NotFound),
+            lines_explanation=(LinesExplanation, NotFound),
             detection=object,
         )
         self._run = declare_memory(self, _Run)
@@ -367,7 +388,9 @@ class ExplanationRecorder(LeafSystem):
         occasion = find_occasion(before, after, detected=first, max_jump=self._max_jump)
         run.detected |= first
         run.estimate = after
-        run.waiting.append(_Look(volume, explanation, before, after))
+        lines = evaluate_optional(self, context, "lines_explanation", (LinesExplanation, NotFound))
+        lines = lines if isinstance(lines, LinesExplanation) else None
+        run.waiting.append(_Look(volume, explanation, lines, before, after))
         if occasion:
             while len(run.waiting) > 1:
                 self._write(run.waiting.popleft(), BEFORE)
@@ -379,9 +402,13 @@ class ExplanationRecorder(LeafSystem):
             run.waiting.popleft()
 
     def _write(self, look: _Look, occasion: str) -> None:
-        volume, explanation, before, after = look
         explained = explain_volume(
-            volume, explanation, before=before, after=after, occasion=occasion
+            look.volume,
+            look.explanation,
+            lines=look.lines,
+            before=look.before,
+            after=look.after,
+            occasion=occasion,
         )
         write_explanation(self._folder, explained)
 

@@ -12,10 +12,12 @@ from pydrake.math import RigidTransform
 from sonoservo.systems.evaluation.explanation.explained_volume import AFTER, BEFORE, ExplainedVolume
 from sonoservo.systems.evaluation.log import Array
 from sonoservo.systems.signals.confidence import squared_distance
+from sonoservo.systems.signals.line_hypotheses import LINE_CLASSES
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_estimate import TrackingMode
 
 TRUE, PREDICTED, MEASURED, ESTIMATED = "#00C08B", "#56B4E9", "#FF7F2A", "#D779A7"
+LINE = "#F0E442"
 _QUIET = "0.45"
 _ACROSS = {"beam": "along", "cross": "across"}
 _SIDE = {"beam": "lateral", "cross": "elevation"}
@@ -42,8 +44,13 @@ def plot_explanation(
         figure.colorbar(
             weights, ax=slices, location="left", shrink=0.5, aspect=40, label="candidate's weight"
         )
-    _draw_profile(grid[0, 1], explained, needle)
-    _draw_gate(grid[1, 1], explained, kept or [explained])
+    if len(explained.history):
+        measured = bool(len(explained.profile))
+        (_draw_profile if measured else _draw_classes)(grid[0, 1], explained, needle)
+        _draw_history(grid[1, 1], explained, needle)
+    else:
+        _draw_profile(grid[0, 1], explained, needle)
+        _draw_gate(grid[1, 1], explained, kept or [explained])
     entries: dict[str, Any] = {}
     for axes in slices:
         handles, labels = axes.get_legend_handles_labels()
@@ -51,7 +58,7 @@ def plot_explanation(
     if entries:
         dark = {"facecolor": "0.3", "labelcolor": "white", "fancybox": False}
         figure.legend(entries.values(), entries.keys(), loc="outside lower left", ncols=5, **dark)
-    figure.suptitle(describe(explained, tip_error), fontsize=12.5)
+    figure.suptitle(describe(explained, tip_error), fontsize=12.5, wrap=True)
     return figure
 
 
@@ -85,7 +92,8 @@ def _draw_slice(axes: Axes, explained: ExplainedVolume, name: str, needle: Array
         getattr(explained, f"{name}_{each}") for each in ("slice", "X_PS", "size")
     )
     through = str(explained.sliced)
-    words = f"Slice {_ACROSS[name]} the beam, through the {through} needle"
+    curve = "line most like a needle" if through == "line" else f"{through} needle"
+    words = f"Slice {_ACROSS[name]} the beam, through the {curve}"
     words = f"Slice at {_OTHER[name]} 0" if through == "none" else words
     axes.set_title(words, loc="left", fontsize=11)
     if not levels.size:
@@ -119,6 +127,7 @@ def _draw_slice(axes: Axes, explained: ExplainedVolume, name: str, needle: Array
     if len(explained.profile):
         fitted = show(explained.profile)
         axes.plot(*fitted.T, color=MEASURED, linestyle=":", linewidth=1.2, label="fitted axis")
+    most_probable = explained.line_ends[0] if through == "line" else np.zeros((0, 3))
     lines = [
         (show(_curve(points)), colour, style, label)
         for points, colour, style, label in (
@@ -126,6 +135,7 @@ def _draw_slice(axes: Axes, explained: ExplainedVolume, name: str, needle: Array
             (explained.after, ESTIMATED, "-", "estimate after"),
             (explained.predicted, PREDICTED, "-.", "predicted needle"),
             (explained.measured, MEASURED, "-", "measured needle"),
+            (most_probable, LINE, "-", "most probable line"),
         )
         if len(points)
     ]
@@ -146,7 +156,7 @@ def _draw_slice(axes: Axes, explained: ExplainedVolume, name: str, needle: Array
         top, bottom = max(top, low[1]), min(bottom, high[1])
     axes.set_xlim(left, right)
     axes.set_ylim(bottom, top)
-    tip = f"along the {through} needle, mm from its tip"
+    tip = f"along the {curve}, mm from its tip"
     axes.set_xlabel(f"{_SIDE[name]}, mm" if through == "none" else tip)
     axes.set_ylabel("depth, mm" if upright else "across the needle, mm")
 
@@ -204,6 +214,61 @@ def _draw_profile(axes: Axes, explained: ExplainedVolume, needle: Array) -> None
     bottom, top = axes.get_ylim()
     axes.set_ylim(bottom, top + 0.3 * (top - bottom))
     axes.legend(fontsize=8, ncols=3, loc="upper center")
+
+
+def _draw_classes(axes: Axes, explained: ExplainedVolume, needle: Array) -> None:
+    """Draw what each of the most probable lines is by its motion, with its looks."""
+    axes.set_title("Lines most like a needle: what they are by their motion", loc="left",
+                   fontsize=11)  # fmt: skip
+    names = [
+        f"line {number:.0f}\nP {100 * probability:.0f} %, looks {looks:+.1f}"
+        for number, probability, looks in zip(
+            explained.line_numbers, explained.line_probabilities, explained.line_looks, strict=True
+        )
+    ]
+    left = np.zeros(len(names))
+    colours = (MEASURED, "0.35", PREDICTED, ESTIMATED, "0.85")
+    for each, share, colour in zip(LINE_CLASSES, explained.line_classes.T, colours, strict=True):
+        axes.barh(names, share, left=left, color=colour, label=each)
+        left = left + share
+    axes.invert_yaxis()
+    axes.set_xlim(0, 1)
+    axes.set_ylim(len(names) - 0.4, -1.2)
+    axes.set_xlabel("probability")
+    axes.legend(fontsize=8, ncols=5, loc="upper center")
+
+
+def _draw_history(axes: Axes, explained: ExplainedVolume, needle: Array) -> None:
+    """Draw the contrasts along the most probable line, volume by volume: a needle advances."""
+    number, probability = explained.line_numbers[0], explained.line_probabilities[0]
+    axes.set_title(
+        f"What was seen along line {number:.0f}, needle with {100 * probability:.0f} %",
+        loc="left", fontsize=11,
+    )  # fmt: skip
+    times, a = explained.history_times, 1e3 * explained.history_a
+    shown = axes.pcolormesh(
+        times, a, explained.history.T, cmap="cividis", vmin=-6, vmax=12, shading="nearest"
+    )
+    axes.set_facecolor("0.8")
+    axes.figure.colorbar(shown, ax=axes, label="contrast, dB; grey: not seen")
+    ends = explained.line_ends[0]
+    length = 1e3 * float(np.linalg.norm(ends[1] - ends[0]))
+    edges = [0.0, length]
+    axes.hlines(edges, times[-1] - 0.3, times[-1] + 0.3, color=LINE, linewidth=2,
+                label="ends in this volume")  # fmt: skip
+    if len(needle):
+        first, last = 1e3 * explained.to_probe(ends)
+        k = (last - first) / np.linalg.norm(last - first)
+        away = 1e3 * needle[-1] - first
+        at = float(away @ k)
+        axes.plot(times[-1], at, marker="x", color=TRUE, markersize=9, markeredgewidth=2,
+                  linestyle="", label=f"true tip (truth), {np.linalg.norm(away - at * k):.0f} mm "
+                  "beside the line")  # fmt: skip
+        edges.append(at)
+    axes.set_ylim(min(edges) - 20, max(edges) + 20)
+    axes.set_xlabel("time of the volumes remembered, s")
+    axes.set_ylabel("along the line, mm from its outer end")
+    axes.legend(fontsize=8, loc="upper left")
 
 
 def _draw_gate(axes: Axes, explained: ExplainedVolume, kept: Sequence[ExplainedVolume]) -> None:

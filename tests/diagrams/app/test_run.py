@@ -49,12 +49,6 @@ def test_a_result_prints_and_draws_itself(result):
     assert isinstance(result.plot(), Figure)
 
 
-def test_a_result_without_a_plot_says_so():
-    empty = RunResult(summary={"scenario": "mine", "seed": 1}, log=None, labels={})
-    with pytest.raises(ValueError, match="too short for a plot"):
-        empty.plot()
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

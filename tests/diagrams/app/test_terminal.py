@@ -4,7 +4,7 @@ import pytest
 import typer
 from rich.console import Console
 
-from sonoservo.diagrams.app.options import say_report, with_common_options
+from sonoservo.diagrams.app.options import with_common_options
 from sonoservo.diagrams.app.run_result import RunResult, summary_table
 from sonoservo.diagrams.app.terminal import end_run
 from sonoservo.systems.evaluation.reports.verdict import following_verdict
@@ -42,14 +42,6 @@ def test_a_file_that_was_not_written_goes_before_the_exit_status():
         assert ended.value.exit_code == 3
     with pytest.raises(OSError, match="disk full"):
         end_run(result(OSError("disk full"), guard={"stopped_at_end": "the force is 12 N"}))
-
-
-def test_a_report_that_was_not_written_is_not_announced(tmp_path, capsys):
-    say_report(tmp_path)
-    assert capsys.readouterr().out == ""
-    (tmp_path / "report.html").write_text("")
-    say_report(tmp_path)
-    assert "Report: " in capsys.readouterr().out
 
 
 def test_a_name_that_no_file_could_hold_is_refused_before_the_work():

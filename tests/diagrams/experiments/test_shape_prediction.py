@@ -1,5 +1,4 @@
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -7,8 +6,6 @@ import pytest
 from sonoservo.diagrams import load_scenario, make_experiment, run
 from sonoservo.diagrams.experiments.shape_prediction_scenario import (
     ESTIMATORS,
-    SHAPE_FILTERS,
-    ShapePredictionScenario,
 )
 from sonoservo.diagrams.shape_predictor import estimate_shape, predict_from_slices
 from sonoservo.systems.evaluation.log import read_log
@@ -106,11 +103,6 @@ def test_a_needle_that_leaves_the_image_is_said_to_be_lost_and_the_tip_uncertain
     assert len(lost) >= 1
 
 
-@pytest.mark.parametrize("name", ESTIMATORS)
-def test_every_shape_filter_has_its_field_in_the_scenario(name):
-    assert isinstance(getattr(ShapePredictionScenario(), name), SHAPE_FILTERS[name].parameters)
-
-
 def test_a_hand_cannot_take_the_place_of_the_feed():
     with pytest.raises(ConfigurationError, match="hand.feed"):
         load_scenario("carriere2016_d60", changes=["hand.feed=null"])
@@ -141,13 +133,3 @@ def test_as_published_is_the_printed_tracker_with_the_printed_filter():
     assert (scenario.tracker.position, scenario.tracker.deviations) == ("match", "both")
     assert scenario.tracker.min_correlation == 0
     assert scenario.observe_until == load_scenario("carriere2016_d60").observe_until
-
-
-def test_a_measured_tip_that_was_not_found_is_missing(experiment):
-    log = experiment.log()
-    measured = log.measured.copy()
-    assert prediction(log, experiment.shape)["tip_error_measured_mm"] is not None
-    measured[-1] = np.nan
-    figures = prediction(replace(log, measured=measured), experiment.shape)
-    assert figures["tip_error_measured_mm"] is None
-    assert figures["shape_error_measured_mm2"] > 0

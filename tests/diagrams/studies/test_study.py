@@ -1,5 +1,6 @@
 """Many runs: resumed, counted, interrupted."""
 
+import io
 import json
 import os
 import signal
@@ -11,11 +12,13 @@ from pathlib import Path
 from shutil import copytree
 
 import pytest
+from rich.console import Console
 
 from sonoservo.diagrams.studies import fingerprint, runs
 from sonoservo.diagrams.studies.fingerprint import code_fingerprint, made_by
-from sonoservo.diagrams.studies.runs import run_cases, run_study
-from sonoservo.diagrams.studies.study import Case, StudyOptions
+from sonoservo.diagrams.studies.processes import Processes
+from sonoservo.diagrams.studies.runs import StudyProgress, run_cases, run_study
+from sonoservo.diagrams.studies.study import Case, Outcome, StudyOptions
 from sonoservo.systems.files.refusals import ConfigurationError
 
 
@@ -259,3 +262,15 @@ def test_options(tmp_path):
     for field, value in (("seeds", 0), ("first_seed", -1), ("jobs", 0)):
         with pytest.raises(ValueError, match=field):
             StudyOptions(folder=tmp_path, **{field: value})
+
+
+def test_the_line_has_rate_workers_failures_and_time():
+    text = io.StringIO()
+    cases = [Case("e", seed) for seed in range(3)]
+    known = [Outcome(cases[0], wall_s=1.0)]
+    with StudyProgress(Console(file=text, width=100), Processes(2), cases[1:], known) as progress:
+        for case in cases[1:]:
+            progress.advance(Outcome(case, error="ValueError: [no] luck"))
+    shown = text.getvalue()
+    assert "failed: ValueError: [no] luck" in shown
+    assert "3/3 120/min, 2 at once, 2 failed 0:00:00" in shown

@@ -44,18 +44,6 @@ def test_poses_are_corrected_once_errors_are_known(volumes):
     assert errors.Eval(context).delay == pytest.approx(0.06, abs=6e-3)
 
 
-def test_a_repeated_volume_is_not_compared(volumes):
-    system = PoseCorrector(period=1.0)
-    context = system.CreateDefaultContext()
-    missing = NotFound("no sweep yet")
-    assert give(system, context, missing) is missing
-    for volume in [*volumes[:2], *5 * [volumes[2]]]:
-        give(system, context, volume)
-        system.ExecuteForcedEvents(context)
-    assert "too few" in system.GetOutputPort("pose_errors").Eval(context).reason
-    assert system.GetOutputPort("pose_errors").Eval(context).reason[0] in "12"
-
-
 def test_the_hand_eye_error_is_taken_out_of_a_pose():
     X_PI = RigidTransform(RollPitchYaw(0.01, -0.02, 0.03), [1e-3, 2e-3, -3e-3])
     X_WP = RigidTransform(RollPitchYaw(0.1, 0.2, -0.3), [0.1, 0.2, 0.3])

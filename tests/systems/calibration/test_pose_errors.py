@@ -115,6 +115,7 @@ def test_errors_are_found_and_their_doubt_is_right(calibration):
     assert off @ np.linalg.solve(errors.covariance, off) < 30  # 99.99 % of chi-squared with 7
 
 
+@pytest.mark.slow
 def test_a_ball_that_moves_does_not_matter(calibration):
     known = PoseCalibration()
     for number in range(16):
@@ -171,6 +172,7 @@ def test_tissue_that_breathes_is_noticed():
     assert known.errors.reason.startswith("the tissue moves: half of it is off by more than ")
 
 
+@pytest.mark.slow
 def test_what_the_motion_does_not_show_stays_near_zero():
     """A probe that only slides shows no translation of the image."""
     sliding = LyingProbe(

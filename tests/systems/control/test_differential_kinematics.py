@@ -54,13 +54,6 @@ class Bench:
         )
 
 
-def test_command_starts_where_the_joints_are():
-    bench = Bench(ELBOW_UP)
-    np.testing.assert_array_equal(bench.command(), np.concatenate([ELBOW_UP, np.zeros(6)]))
-    bench.simulator.AdvanceTo(0.1)
-    np.testing.assert_allclose(bench.command()[:6], ELBOW_UP, atol=1e-12)
-
-
 def test_probe_moves_as_asked():
     bench = Bench(ELBOW_UP, planar=(0.02, -0.01, 0.3), approach=0.015)
     before = bench.pose(ELBOW_UP)

@@ -1,6 +1,8 @@
 import numpy as np
 import pytest
-from pydrake.math import RigidTransform, RotationMatrix
+from hypothesis import given
+from hypothesis import strategies as st
+from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from pydrake.multibody.math import SpatialForce
 from pydrake.systems.analysis import Simulator
 
@@ -10,6 +12,7 @@ from sonoservo.systems.control.force_controller import (
     ForceState,
     approach_velocity,
     next_state,
+    pressing_force,
 )
 
 DOWN = RigidTransform(RotationMatrix.MakeXRotation(-np.pi / 2))
@@ -58,3 +61,83 @@ def test_what_is_measured_acts_through_the_state_alone():
         ):
             port = controller.GetInputPort(name).get_index()
             assert controller.HasDirectFeedthrough(port, number) == direct
+
+
+STEP = 0.005
+
+
+@given(angles=st.tuples(*3 * [st.floats(-3, 3)]), force=st.floats(0, 5), mass=st.floats(0.1, 2))
+def test_pressing_force_is_free_of_the_weight_in_any_posture(angles, force, mass):
+    R_WP = RollPitchYaw(angles).ToRotationMatrix()
+    weight_P = R_WP.inverse().multiply([0, 0, -9.81 * mass])
+    contact_P = np.array([0.3, -force, -0.2])
+    # At rest the arm bears what weight and contact leave.
+    wrist_force = SpatialForce(np.ones(3), -(weight_P + contact_P))
+    found = pressing_force(wrist_force, RigidTransform(R_WP, [0.1, 0.2, 0.3]), mass)
+    assert found == pytest.approx(force, abs=1e-9)
+
+
+def test_filter_is_of_first_order():
+    parameters = ForceControllerParameters(filter_time=0.02)
+    state = ForceState()
+    for _ in range(round(0.02 / 1e-5)):
+        state = next_state(state, 1.0, 1e-5, parameters)
+    assert state.force == pytest.approx(1 - np.exp(-1), abs=1e-3)
+
+
+def test_contact_has_hysteresis():
+    parameters = ForceControllerParameters(filter_time=0.0, touch_force=0.4, release_force=0.2)
+    state, seen = ForceState(), []
+    for force in (0.3, 0.5, 0.3, 0.1, 0.3):
+        state = next_state(state, force, STEP, parameters)
+        seen.append(state.in_contact)
+    assert seen == [False, True, True, False, False]
+    for force in (3.0, 0.1):  # contact begins between release and the wanted force
+        with pytest.raises(ValueError, match="touch_force"):
+            ForceControllerParameters(touch_force=force)
+
+
+def test_integral_starts_near_the_wanted_force_and_ends_with_contact():
+    parameters = ForceControllerParameters(filter_time=0.0, integral_gain=0.1, integral_band=0.5)
+    far = next_state(ForceState(), 1.0, STEP, parameters)
+    assert far.in_contact
+    assert far.integral == 0
+    near = next_state(far, 1.8, STEP, parameters)
+    assert near.integral == pytest.approx(0.1 * 0.2 * STEP)
+    lost = next_state(near, 0.0, STEP, parameters)
+    assert not lost.in_contact
+    assert lost.integral == 0
+
+
+def test_the_integral_shrinks_at_any_force_and_is_zero_while_the_probe_is_held():
+    parameters = ForceControllerParameters(filter_time=0.0)
+    wound = ForceState(5.0, integral=0.1, in_contact=True)
+    assert next_state(wound, 5.0, STEP, parameters).integral == pytest.approx(0.1 - 0.3 * STEP)
+    assert next_state(wound, 1.0, STEP, parameters).integral == 0.1
+    held = next_state(wound, 1.9, STEP, parameters, held=True)
+    assert (held.force, held.integral, held.in_contact) == (1.9, 0.0, True)
+
+
+def test_velocity_is_proportional_and_limited():
+    parameters = ForceControllerParameters(proportional_gain=0.01)
+    for force, integral, expected in (
+        (1.5, 0.0, 0.005),
+        (2.0, 0.003, 0.003),
+        (0.5, 0.0, parameters.approach_speed),
+        (50.0, 0.0, -parameters.retreat_speed),
+    ):
+        state = ForceState(force, integral, in_contact=True)
+        assert approach_velocity(state, parameters) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("stiffness", [500.0, 1000.0, 1500.0])
+def test_a_spring_is_pressed_with_the_wanted_force(stiffness):
+    parameters = ForceControllerParameters()
+    state, depth, forces = ForceState(), -0.01, []
+    for _ in range(800):
+        force = stiffness * max(depth, 0)
+        forces.append(force)
+        depth += STEP * approach_velocity(state, parameters)
+        state = next_state(state, force, STEP, parameters)
+    assert max(forces) < 2.5
+    np.testing.assert_allclose(forces[-200:], 2, atol=0.01)

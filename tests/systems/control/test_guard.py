@@ -88,11 +88,16 @@ class Rig:
         return self.output("guard")
 
 
-@pytest.fixture(params=[True, False], ids=["two witnesses", "alone"])
+@pytest.fixture
 def rig(request):
-    return Rig(request.param)
+    return Rig(getattr(request, "param", True))
 
 
+either = pytest.mark.parametrize("rig", [True, False], indirect=True, ids=["two", "alone"])
+"""With the arm's torques as a second witness of the force, and without."""
+
+
+@either
 def test_commands_pass_bit_for_bit_while_nothing_is_wrong(rig):
     rig.velocity = 0.01 * np.arange(1, N + 1)
     for _ in range(20):
@@ -102,6 +107,7 @@ def test_commands_pass_bit_for_bit_while_nothing_is_wrong(rig):
     assert (status.state, status.reason, status.interventions) == (GuardState.MONITORING, "", 0)
 
 
+@either
 def test_too_much_force_makes_the_probe_retreat_hold_and_go_on(rig):
     rig.run(0.1)
     before = pose(rig.q)
@@ -143,7 +149,6 @@ def test_a_hard_landing_slows_the_approach_until_a_calm_contact(rig):
         assert rig.output("approach_scale")[0] == scale
 
 
-@pytest.mark.parametrize("rig", [True], indirect=True)
 def test_a_sensor_that_was_wrong_three_times_needs_a_person(rig):
     waits = []
     for number in range(3):
@@ -161,7 +166,6 @@ def test_a_sensor_that_was_wrong_three_times_needs_a_person(rig):
     assert not rig.run(0.1).stopped
 
 
-@pytest.mark.parametrize("rig", [True], indirect=True)
 def test_contact_in_which_the_witnesses_agree_ends_the_doubt(rig):
     for _ in range(2):  # a second doubt would have to wait for 5 s
         rig.pressing, rig.felt_by_arm = -3.0, 0.0
@@ -173,6 +177,7 @@ def test_contact_in_which_the_witnesses_agree_ends_the_doubt(rig):
         assert not rig.run(1.5).stopped
 
 
+@either
 def test_the_body_that_comes_after_a_held_probe_makes_it_retreat_again(rig):
     rig.run(0.1)
     rig.shift = np.array([0.02, 0, 0])
@@ -245,7 +250,6 @@ def test_a_frozen_pose_stops_a_probe_that_moves_and_is_noted_at_rest(rig, moves)
     assert rig.run(0.4).state is GuardState.MONITORING
 
 
-@pytest.mark.parametrize("rig", [True], indirect=True)
 def test_the_workspace_is_left_by_nobody_and_the_way_back_is_free(rig):
     # Joint 1 turns the probe aside at 0.1 m/s.
     rig.velocity = np.r_[0.2, np.zeros(N - 1)]

@@ -1,5 +1,4 @@
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,7 +11,6 @@ from sonoservo.systems.control.guard_parameters import (
     PEAK,
     REACTION,
     GuardParameters,
-    WristSensorLimits,
     time_above,
 )
 from sonoservo.systems.control.guard_rules import (
@@ -211,9 +209,3 @@ def test_limits_that_do_not_keep_the_force_are_refused(changes, message):
     with pytest.raises(ValueError, match=message):
         GuardParameters(**changes)
     assert time_above(10.0, LIMITS.retreat_speed, LIMITS.retreat_acceleration) < LONGEST
-
-
-def test_a_sensor_without_noise_may_be_frozen():
-    limits = replace(LIMITS, wrist_sensor=WristSensorLimits(frozen_after=0.0))
-    sights = [look(number, 2.0, 2.0, **BROKEN["wrist_frozen"]) for number in range(50)]
-    assert set(judged(sights, limits)[1]) == {""}

@@ -1,24 +1,6 @@
 import numpy as np
-import pytest
-from hypothesis import example, given
-from hypothesis import strategies as st
 
-from sonoservo.systems.display.shapes import resample, sector_edges, segment_pose, tubes
-
-point = st.tuples(*[st.floats(-1, 1)] * 3)
-
-
-@given(point, point)
-@example((1.0, 2.0, 3.0), (1.0, 2.0, 3.0))
-def test_a_segment_ends_where_it_should(start, end):
-    X, length = segment_pose(start, end)
-    np.testing.assert_allclose(X.multiply([0, 0, -length / 2]), start, atol=1e-9)
-    np.testing.assert_allclose(X.multiply([0, 0, length / 2]), end, atol=1e-9)
-
-
-def test_resampling_a_corner():
-    result = resample([[0, 0, 0], [3, 0, 0], [3, 1, 0]], 5)
-    np.testing.assert_allclose(result[:, :2], [[0, 0], [1, 0], [2, 0], [3, 0], [3, 1]])
+from sonoservo.systems.display.shapes import sector_edges
 
 
 def test_the_edges_of_a_sector_are_its_edges(geometry):
@@ -33,17 +15,3 @@ def test_the_edges_of_a_sector_are_its_edges(geometry):
         assert (at_end[[0, -1]]).all()
         corners |= {tuple(each) for each in np.rint(index[[0, -1]] / ends).astype(int).tolist()}
     assert len(corners) == 8
-
-
-def test_tubes_lie_around_their_lines():
-    line = np.array([[0, 0, 0], [0.1, 0, 0], [0.1, 0.2, 0.1]])
-    mesh = tubes([line, line + 1], 0.01)
-    vertices = np.array([mesh.vertex(i) for i in range(mesh.num_vertices())])
-    assert len(vertices) == 4 * 6
-    assert mesh.num_triangles() == 4 * 6
-    first = vertices[:6]  # around the segment along X
-    np.testing.assert_allclose(np.hypot(first[:, 1], first[:, 2]), 0.01)
-    np.testing.assert_allclose(sorted(first[:, 0]), [0, 0, 0, 0.1, 0.1, 0.1], atol=1e-12)
-    circumference = 3 * np.sqrt(3) * 0.01
-    length = 2 * (0.1 + np.hypot(0.2, 0.1))
-    assert mesh.total_area() == pytest.approx(circumference * length)

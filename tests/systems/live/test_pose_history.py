@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from pydrake.math import RigidTransform, RotationMatrix
 
-from sonoservo.systems.live.pose_history import PoseHistory, interpolate
+from sonoservo.systems.live.pose_history import PoseHistory
 
 
 def pose(x, turn=0.0):
@@ -50,16 +50,3 @@ def test_clock_that_is_set_back_begins_anew():
     assert not history.reaches(2.0)
     assert history.reaches(1.0)
     assert len(history) == 1
-
-
-def test_memory_is_bounded():
-    history = PoseHistory()
-    for k in range(10_000):
-        history.add(0.01 * k, pose(k))
-    assert len(history) <= 1024
-    assert history.at(99.99).translation()[0] == pytest.approx(9999)
-
-
-def test_interpolation_of_a_tiny_turn_is_a_rotation():
-    X = interpolate(pose(0, 1.0), pose(1, 1.0 + 1e-9), 0.3)
-    assert X.IsNearlyEqualTo(pose(0.3, 1.0 + 3e-10), 1e-12)

@@ -5,7 +5,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydrake.math import RigidTransform, RollPitchYaw
 
-from sonoservo.systems.needle.hand import Hand
 from sonoservo.systems.needle.insertion import Insertion
 from sonoservo.systems.needle.insertion_parameters import InsertionParameters, Push
 from sonoservo.systems.needle.steered_path import SteeredPath
@@ -138,17 +137,6 @@ def test_bad_parameters_name_the_field_and_what_is_allowed(field, value):
         InsertionParameters(**{field: value})
 
 
-def test_hand_gives_the_needle_of_the_context_time():
-    insertion = make(pushes=[Push(duration=5, speed=6e-3)])
-    hand = Hand(insertion=insertion)
-    context = hand.CreateDefaultContext()
-    assert not hand.GetOutputPort("needle").Eval(context)
-    context.SetTime(4.0)
-    np.testing.assert_array_equal(
-        hand.GetOutputPort("needle").Eval(context).shaft, insertion.needle(4.0).shaft
-    )
-
-
 BENT = {"bend_radius": 0.15, "start": 0.0, "entry": [0.0, 0.0, 0.0]}
 
 
@@ -261,15 +249,6 @@ def test_the_shorter_way_round_is_taken_across_north():
     np.testing.assert_allclose(
         insertion.needle(0.3).curve.direction, insertion.needle(9).curve.direction, atol=1e-12
     )
-
-
-def test_turning_the_needle_rolls_its_bevel():
-    """Turned by 90 deg from up to the right, as seen along the needle."""
-    turned = make(start=0.0, initial_depth=0.03, pushes=[Push(duration=1, turning_deg=90)])
-    assert turned.needle(0.0).roll == 0
-    assert turned.needle(9.0).roll == pytest.approx(-np.pi / 2)
-    along, up, beside = turned._aim_at(9.0).axes(np.zeros(2))
-    np.testing.assert_allclose(beside, np.cross(along, up))
 
 
 def test_a_bevelled_tip_bends_away_from_its_face():

@@ -145,22 +145,3 @@ def test_a_needle_turned_all_the_while_cuts_a_helix():
     radial = found - centre - np.outer((found - centre) @ axis, axis)
     np.testing.assert_allclose(np.linalg.norm(radial, axis=1), curvature / squared, rtol=1e-3)
     np.testing.assert_allclose(found @ axis, s * torsion / np.sqrt(squared), atol=1e-7)
-
-
-def test_a_withdrawn_needle_keeps_the_path_that_it_goes_back_on():
-    depths = np.array([0, 0.02, 0.05, 0.03, 0.03, 0.06])
-    turns = np.array([0, 0.0, 0.0, 0.0, 2.0, 2.0])
-    lengths, angles = cut_arcs(depths[:4], turns[:4])
-    np.testing.assert_allclose(lengths, [0.03])
-    np.testing.assert_allclose(angles, [0.0])
-    lengths, angles = cut_arcs(depths, turns)
-    np.testing.assert_allclose(lengths, [0.03, 0.03])
-    np.testing.assert_allclose(angles, [0.0, 2.0])
-
-
-def test_outside_there_is_no_path():
-    lengths, _ = cut_arcs(np.array([0, 0.02, -0.005]), np.zeros(3))
-    assert lengths.size == 0
-    lengths, angles = cut_arcs(np.array([0, 0.02, -0.005, 0.01]), np.array([0, 0, 1.0, 1.0]))
-    assert lengths.sum() == pytest.approx(0.01)
-    np.testing.assert_allclose(angles, [1.0])

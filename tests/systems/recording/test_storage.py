@@ -289,12 +289,13 @@ QUIET = {
 }  # fmt: skip
 
 
+@pytest.mark.parametrize("examples", [40, pytest.param(1000, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", CASES)
-def test_a_volume_comes_back_however_it_is_stored(tmp_path, name):
+def test_a_volume_comes_back_however_it_is_stored(tmp_path, name, examples):
     cases, check = CASES[name]
 
     @given(case=cases)
-    @settings(max_examples=150, derandomize=True, **QUIET)
+    @settings(max_examples=examples, derandomize=True, **QUIET)
     def run(case):
         check(tmp_path, case)
 

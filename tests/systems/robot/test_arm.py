@@ -149,8 +149,3 @@ def test_too_few_joints_and_unordered_motors_are_refused(own, tmp_path):
     model.write_text("\n".join([*swapped[:-1], motor, swapped[-1]]))
     with pytest.raises(ConfigurationError, match="transmissions are not in the order"):
         load_arm(path)
-
-
-def test_an_unknown_arm_lists_those_that_ship():
-    with pytest.raises(FileNotFoundError, match=r"lbr_iiwa_14\.yaml, ur5e\.yaml, viper_s850\.yaml"):
-        load_arm("viper")

@@ -67,15 +67,3 @@ def test_breath_with_a_larger_exponent_rests_longer():
         for n in (1, 2, 3, 4)
     ]
     assert (np.diff(resting) > 0.05).all()
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        ("direction", [0, 0, 0]),
-        ("exponent", 5),
-    ],
-)
-def test_bad_breathing_is_refused_by_name(name, value):
-    with pytest.raises(ValueError, match=f"{name}: .* is not allowed"):
-        Breathing(**{name: value})

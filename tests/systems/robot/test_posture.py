@@ -1,5 +1,4 @@
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydrake.math import RigidTransform
@@ -60,14 +59,3 @@ def test_a_redundant_arm_stays_near_the_posture_it_is_given():
     for q, to in ((near_home, IIWA.home), (near_swung, swung)):
         other = near_swung if q is near_home else near_home
         assert np.linalg.norm(q - to) < np.linalg.norm(other - to)
-
-
-def test_a_pose_out_of_reach_is_named():
-    with pytest.raises(ValueError, match=r"cannot reach.*x 1\.200, y 0\.000, z 0\.200 m"):
-        solve_posture(VIPER, RigidTransform([1.2, 0, 0.2]))
-
-
-def test_reachable_tells_the_poses_apart():
-    near = probe_pose(X_WT=X_WT, x=0.02, y=0, yaw=0, height=0)
-    far = probe_pose(X_WT=X_WT, x=0.5, y=0, yaw=0, height=0)
-    assert reachable(VIPER, [near, far, near]) == [True, False, True]

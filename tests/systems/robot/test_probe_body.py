@@ -52,9 +52,3 @@ def test_an_assumed_body_has_its_dome_mass_and_wrist():
     # The apex is the origin of P.
     apex = inspector.GetPoseInFrame(geometry).multiply([0, dome.b(), 0])
     np.testing.assert_allclose(apex, 0, atol=1e-15)
-
-
-@pytest.mark.parametrize("dome", [[1.0], [1.0, 0.0, 1.0]])
-def test_a_dome_has_three_semi_axes(dome):
-    with pytest.raises(ValueError, match="dome"):
-        AssumedBody(dome=dome)

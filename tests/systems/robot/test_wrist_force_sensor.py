@@ -28,11 +28,6 @@ def readings(times, *, seed=3, **parameters):
     return np.array(read)
 
 
-def test_without_noise_it_reads_its_joint():
-    (reading,) = readings([0.1], **QUIET)
-    np.testing.assert_array_equal(reading, np.arange(6.0))
-
-
 def test_noise_has_the_given_deviation_and_no_memory():
     noise = readings(0.005 * np.arange(4000)) - np.arange(6.0)
     np.testing.assert_allclose(noise.std(axis=0), 3 * [0.001] + 3 * [0.02], rtol=0.05)

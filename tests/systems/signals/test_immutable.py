@@ -7,7 +7,7 @@ import pytest
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 
-from sonoservo.systems.signals.immutable import Immutable, NotFound, Shape, read_only, seal
+from sonoservo.systems.signals.immutable import Immutable, Shape, read_only, seal
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.requirements import Positive
 
@@ -69,12 +69,6 @@ def test_sealed_arrays_and_what_values_keep_already_are_not_copied():
 def test_bad_arrays_are_refused(array, message):
     with pytest.raises(ValueError, match=message):
         read_only(array, "points", (None, 3))
-
-
-def test_nothing_found_is_falsy_and_says_why():
-    nothing = NotFound("too few candidates")
-    assert not nothing
-    assert nothing.reason == "too few candidates"
 
 
 def test_volumes_are_kept_in_the_order_that_compiled_code_takes():

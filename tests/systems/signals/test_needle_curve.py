@@ -32,19 +32,6 @@ def test_moves_with_its_frame(control_points, yaw, x):
     np.testing.assert_allclose(moved.position([0.3]), expected, atol=1e-12)
 
 
-def test_tangent_is_the_derivative():
-    curve = NeedleCurve([[0, 0, 0], [0.03, 0.004, 0], [0.06, 0, 0.001]])
-    step = curve.position(0.7 + 1e-6) - curve.position(0.7 - 1e-6)
-    np.testing.assert_allclose(curve.tangent(0.7), step / np.linalg.norm(step), atol=1e-8)
-
-
-def test_direction_runs_from_entry_to_tip():
-    curve = NeedleCurve([[0.1, 0, 0], [0.1, 0, -0.05]])
-    np.testing.assert_allclose(curve.direction, [0, 0, -1])
-    assert curve.chord == pytest.approx(0.05)
-    assert curve.tip[2] == -0.05
-
-
 @pytest.mark.parametrize("count", [0, 1, 5])
 def test_other_orders_are_refused(count):
     with pytest.raises(ValueError, match="control_points: .* 2 to 4 points"):

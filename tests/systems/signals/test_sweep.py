@@ -64,13 +64,6 @@ def test_motor_moves_steadily_from_line_to_line(direction):
     assert np.allclose(np.diff(in_order), direction * step)
 
 
-def test_both_directions_share_every_frames_middle():
-    geometry = SweepGeometry(**CONVEX)
-    up, down = geometry.line_angles(1), geometry.line_angles(-1)
-    assert np.allclose(up.mean(axis=1), down.mean(axis=1))
-    assert np.allclose(up, down[:, ::-1])
-
-
 def test_sound_needs_time():
     least = 96 * 2 * 292 * 0.308e-3 / 1540
     assert SweepGeometry(**CONVEX).min_frame_period == pytest.approx(least)

@@ -176,17 +176,6 @@ def test_entry_rests_while_the_tip_advances():
     np.testing.assert_allclose(state.velocity[-1], [0.003, 0, 0], atol=1e-4)
 
 
-def test_a_velocity_alone_moves_the_tip(resting):
-    needle_filter, state = resting
-    told = untold = state
-    for n in (6, 7):
-        told, untold = (needle_filter.predict(each, float(n)) for each in (told, untold))
-        told = needle_filter.update(told, None, speed([0.001, 0, 0]))
-        untold = needle_filter.update(untold, None, None)
-    assert told.curve.tip[0] > 0.0208
-    assert untold.curve.tip[0] == pytest.approx(0.02, abs=2e-4)
-
-
 def test_an_impossible_velocity_is_not_believed(resting):
     needle_filter, state = resting
     state = needle_filter.predict(state, 6.0)

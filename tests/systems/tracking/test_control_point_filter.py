@@ -88,15 +88,6 @@ def test_innovations_are_consistent():
     assert np.mean(distances) == pytest.approx(6, rel=0.1)
 
 
-def test_velocity_converges():
-    state = FILTER.start(measurement(0.02))
-    for k in range(1, 30):
-        z = measurement(0.02 + 5e-3 * 0.3 * k, 0.3 * k)
-        state = FILTER.update(FILTER.predict(state, z.time), z, None)
-    np.testing.assert_allclose(state.velocity[1], [5e-3, 0, 0], atol=2e-4)
-    np.testing.assert_allclose(state.velocity[0], 0, atol=3e-4)
-
-
 def test_entry_rests_along_an_axis_that_does_not_show_it():
     """A volume says nothing of where along the axis the entry is: it must not slide forwards."""
     covariance = np.diag([1e-6, 1e-8, 1e-8, 0.36e-6, 1e-8, 1e-8])

@@ -9,7 +9,6 @@ from pydrake.math import RigidTransform, RollPitchYaw
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
 from sonoservo.systems.tracking.interacting_filter import InteractingFilter
-from sonoservo.systems.tracking.needle_filter import FILTERS
 from sonoservo.systems.tracking.track_lifecycle import gate_distance, innovation_distance
 
 FILTER = InteractingFilter()
@@ -201,7 +200,3 @@ def test_parameters_outside_their_range_are_refused():
         InteractingFilter(constant=0.5, repeated=0.5)
     with pytest.raises(ValueError, match="kind"):
         InteractingFilter(kind="control_points")
-
-
-def test_the_filter_is_registered():
-    assert InteractingFilter in FILTERS

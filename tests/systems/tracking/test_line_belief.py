@@ -1,5 +1,6 @@
 """The belief about all lines, in volumes in which a needle is pushed in beside what rests."""
 
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -14,7 +15,7 @@ from sonoservo.systems.signals.line_hypotheses import LINE_CLASSES
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
 from sonoservo.systems.signals.volume import Volume
-from sonoservo.systems.tracking.line_belief import LineBelief, follow
+from sonoservo.systems.tracking.line_belief import LineBelief, explain_lines, follow
 from sonoservo.systems.tracking.line_follower import LineFollower
 
 START = np.array([-0.025, 0.03, 0.02])
@@ -71,7 +72,7 @@ def along(lines, a, b):
     return (away < 4e-3) & (np.abs(d @ k) > np.cos(np.radians(8)) * np.linalg.norm(d, axis=1))
 
 
-@pytest.mark.parametrize("moving", [False, True])
+@pytest.mark.parametrize("moving", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_a_needle_that_is_pushed_in_is_found_and_a_wire_at_rest_is_not(moving):
     lines = followed(volumes(True, moving)).hypotheses
     assert lines
@@ -86,7 +87,7 @@ def test_a_needle_that_is_pushed_in_is_found_and_a_wire_at_rest_is_not(moving):
     np.testing.assert_allclose(lines.classes.sum(axis=1), 1)
 
 
-@pytest.mark.parametrize("moving", [False, True])
+@pytest.mark.parametrize("moving", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_where_no_needle_comes_none_is_found(moving):
     lines = followed(volumes(False, moving)).hypotheses
     assert lines.probabilities.max() < 0.5
@@ -96,15 +97,35 @@ def test_where_no_needle_comes_none_is_found(moving):
     assert "needle" not in kinds
 
 
+def test_the_history_of_a_needle_shows_its_tip_advance():
+    explained = explain_lines(followed(volumes(True, True)))
+    assert explained.lines.probabilities[0] == explained.lines.probabilities.max() > 0.95
+    # The contrast stands out as far as the needle has come in each volume, and not beyond.
+    entry = explained.lines.ends[0, 0]
+    beside = 3e-3
+    for time, contrasts, seen in zip(
+        explained.times, explained.contrasts, explained.seen, strict=True
+    ):
+        tip = float((pushed(time)[1] - entry) @ K)
+        before = seen & (explained.a > 0) & (explained.a < tip - beside)
+        beyond = seen & (explained.a > tip + beside)
+        assert beyond.any()
+        assert contrasts[beyond].mean() < 2
+        if before.any():
+            assert contrasts[before].mean() > 5
+
+
+def test_a_volume_without_contact_does_not_move_the_tissue():
+    images = volumes(False, False)
+    dark = [replace(each, intensities=np.ones(SHAPE, np.uint8)) for each in images[:2]]
+    for remembered in followed([*dark, *images[2:15]]).memory:
+        assert np.linalg.norm(remembered.displacement) < 0.3e-3
+
+
 def test_the_same_volumes_give_the_same_bits():
     first, second = (followed(volumes(True, False)[:8]).hypotheses for _ in range(2))
     for name in ("ends", "probabilities", "classes", "looks", "looked", "numbers"):
         np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
-
-
-def test_before_any_volume_there_are_no_lines():
-    assert LineBelief().time == -np.inf
-    assert len(LineBelief().lines) == 0
 
 
 def test_leaf_follows_only_while_nothing_is_tracked():
@@ -132,6 +153,7 @@ def test_leaf_follows_only_while_nothing_is_tracked():
     fix("volume", volumes(False, False)[2])
     assert lines().reason == "a needle is being tracked"
     leaf.ExecuteForcedEvents(context)
+    assert not leaf.GetOutputPort("explanation").Eval(context)
     belief = leaf.GetOutputPort("belief").Eval(context)
     assert belief.time == volumes(False, False)[2].time
     assert len(belief.lines) == len(belief.memory) == 0

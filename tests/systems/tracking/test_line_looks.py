@@ -101,10 +101,6 @@ def test_a_width_is_relative_to_the_larger_blur_across_the_line(blur):
     assert features(line)["width"] == pytest.approx(expected)
 
 
-def test_a_width_says_nothing_where_the_blur_is_unknown():
-    assert features(line)["width"] == 1
-
-
 def test_what_lies_along_the_border_of_the_field_of_view_has_a_rim(blur):
     edge = features(lambda below, aside, x: np.where(aside < 1.5e-3, line(below, aside), 0))
     assert 0.3 < edge["rim"] < 0.5

@@ -1,7 +1,6 @@
 from functools import partial
 
 import numpy as np
-import pytest
 from pydrake.common.value import Value
 from synthetic_volumes import Scene, entry_on_side
 
@@ -55,11 +54,3 @@ def test_says_what_is_missing():
     bench.fix("prediction", NotFound("nothing is expected"))
     assert bench.output("measurement").reason == "nothing is expected"
     assert bench.output("explanation").attempts == ()
-
-
-def test_a_wrong_input_is_named():
-    bench = Bench()
-    bench.fix("volume", Scene(seed=5, spacing=1e-3).volume(1))
-    bench.fix("prediction", 3)
-    with pytest.raises(TypeError, match="expected NeedlePrediction or NotFound"):
-        bench.output("measurement")

@@ -104,17 +104,3 @@ def test_without_refits_the_winning_sample_remains(order):
     b = refitted.fit.axis.abscissa(points[refitted.inliers])[[0, -1]]
     spread = np.trace(refitted.fit.covariance(b, 20.0))
     assert spread < np.trace(found.fit.covariance(a, 20.0)) < 10 * spread
-
-
-def test_same_seed_same_result():
-    points = scene(np.random.default_rng(0), 300, 0.3)
-    first, second = (fit(points, np.random.default_rng(7)) for _ in range(2))
-    np.testing.assert_array_equal(first.fit.axis.coefficients, second.fit.axis.coefficients)
-
-
-@pytest.mark.parametrize(
-    ("field", "value"), [("stop_probability", 1.0), ("residual_threshold", 0.0), ("refits", -1)]
-)
-def test_parameters_are_checked(field, value):
-    with pytest.raises(ValueError, match=field):
-        RansacParameters(**{field: value})

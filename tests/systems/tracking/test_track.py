@@ -251,11 +251,6 @@ def test_gate_passes_true_measurements_with_its_probability():
         assert np.mean(distances <= gate_distance(0.9, order)) == pytest.approx(0.9, abs=0.01)
 
 
-def test_a_track_is_falsy_without_a_state():
-    assert not Track(TrackingMode.LOST, 0.0)
-    assert not Track(TrackingMode.LOST, 0.0).estimate
-
-
 @pytest.mark.parametrize(("field", "value"), [("gate", 1.0), ("volumes_to_lose", 0), ("act", 0.5)])
 def test_parameters_are_checked(field, value):
     with pytest.raises(ValueError, match=field):

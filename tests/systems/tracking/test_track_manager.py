@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from pydrake.common.value import Value
-from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.math import RigidTransform
 
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.line_hypotheses import LineHypotheses
@@ -11,7 +11,6 @@ from sonoservo.systems.signals.localization_explanation import LocalizationExpla
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
-from sonoservo.systems.signals.velocity_measurement import VelocityMeasurement
 from sonoservo.systems.signals.volume import Volume
 from sonoservo.systems.tracking.axis_tip_filter import AxisTipFilter
 from sonoservo.systems.tracking.control_point_filter import ControlPointFilter
@@ -76,25 +75,6 @@ class Bench:
         return self.step(time + 0.6, lines=lines(), measurement=measurement(time=time + 0.6))
 
 
-def test_a_prediction_does_not_depend_on_the_measurement_it_serves():
-    """Only the volume and other lines reach the prediction, so there is no algebraic loop."""
-    lifecycle = TrackLifecycle(
-        order=2, parameters=TrackParameters(), needle_filter=ControlPointFilter()
-    )
-    manager = TrackManager(lifecycle=lifecycle, period=1.0)
-    through = {
-        (manager.get_input_port(i).get_name(), manager.get_output_port(o).get_name())
-        for i in range(manager.num_input_ports())
-        for o in range(manager.num_output_ports())
-        if manager.HasDirectFeedthrough(i, o)
-    }
-    assert through == {
-        ("volume", "prediction"),
-        ("lines", "prediction"),
-        ("explanation", "explanation"),
-    }
-
-
 def test_prediction_is_the_same_before_and_after_the_update_it_serves():
     bench = Bench()
     bench.track_from()
@@ -142,14 +122,6 @@ def test_a_line_found_is_measured_and_tracked():
     np.testing.assert_allclose(estimate.curve.tip, [0.03, 0, 0], atol=1e-3)
 
 
-def test_loss_ladder():
-    bench = Bench(volumes_to_lose=3, seconds_to_give_up=2.0)
-    bench.track_from()
-    modes = [bench.step(0.9 + 0.3 * k).mode for k in range(8)]
-    assert modes == ["coasting"] * 2 + ["lost"] * 4 + ["searching"] * 2
-    assert bench.estimate.reason == "no lines"
-
-
 def test_a_lost_needle_is_found_again():
     bench = Bench(volumes_to_lose=1)
     bench.track_from()
@@ -157,47 +129,6 @@ def test_a_lost_needle_is_found_again():
     estimate = bench.step(1.2, lines=lines(), measurement=measurement(0.08, 1.2, y=0.04))
     assert estimate.mode == TrackingMode.TRACKING
     np.testing.assert_allclose(estimate.curve.tip, [0.08, 0.04, 0])
-
-
-def test_gate_rejects_once_and_believes_twice():
-    bench = Bench()
-    bench.track_from()
-    estimate = bench.step(0.9, measurement=measurement(0.03, 0.9, y=0.02))
-    assert estimate.mode == TrackingMode.COASTING
-    assert "deviations from the prediction" in estimate.reason
-    assert abs(estimate.curve.tip[1]) < 1e-3
-    estimate = bench.step(1.2, measurement=measurement(0.03, 1.2, y=0.0201))
-    assert estimate.mode == TrackingMode.TRACKING
-    assert estimate.curve.tip[1] == pytest.approx(0.0201)
-
-
-def test_without_filtering_each_measurement_is_the_estimate():
-    bench = Bench(filtering=False)
-    bench.track_from()
-    for k, tip in enumerate((0.031, 0.05, 0.029)):
-        estimate = bench.step(0.9 + 0.3 * k, measurement=measurement(tip, 0.9 + 0.3 * k))
-        assert estimate.mode == TrackingMode.TRACKING
-        assert estimate.curve.tip[0] == tip
-        np.testing.assert_array_equal(estimate.velocity, 0)
-    assert bench.step(2.1).curve.tip[0] == 0.029
-
-
-def test_in_the_probe_s_frame_the_prediction_is_carried_along():
-    turned = RigidTransform(RotationMatrix.MakeZRotation(0.3), [0.01, 0.02, 0.0])
-    coasted = {}
-    for probe_frame in (False, True):
-        bench = Bench(probe_frame=probe_frame)
-        bench.track_from()
-        before = bench.estimate
-        coasted[probe_frame] = bench.step(0.9, X_WP=turned)
-    np.testing.assert_allclose(coasted[False].curve.tip, before.curve.tip, atol=1e-12)
-    np.testing.assert_allclose(
-        coasted[True].curve.tip, turned.multiply(before.curve.tip), atol=1e-12
-    )
-    R = np.kron(np.eye(4), turned.rotation().matrix())
-    np.testing.assert_allclose(
-        coasted[True].covariance, R @ coasted[False].covariance @ R.T, atol=1e-12
-    )
 
 
 def test_in_the_probe_s_frame_velocity_is_that_in_the_image():
@@ -213,17 +144,6 @@ def test_in_the_probe_s_frame_velocity_is_that_in_the_image():
         velocity[probe_frame] = estimate.tip_velocity[0]
     assert velocity[False] == pytest.approx(5e-3, abs=1e-4)
     assert velocity[True] == pytest.approx(0, abs=1e-4)
-
-
-def test_withdrawn_needle_is_awaited_again():
-    bench = Bench()
-    bench.track_from()
-    for k in range(10):
-        tip = 0.03 - 2.6e-3 * (k + 1)
-        bench.step(0.9 + 0.3 * k, measurement=measurement(tip, 0.9 + 0.3 * k))
-    estimate = bench.step(3.9)
-    assert estimate.mode == TrackingMode.SEARCHING
-    assert estimate.reason == "the needle was withdrawn"
 
 
 @pytest.mark.parametrize(
@@ -278,22 +198,6 @@ def test_starts_where_it_is_told():
     assert bench.estimate.mode == TrackingMode.TRACKING
     assert bench.estimate.volume_time == 0.3
     np.testing.assert_allclose(bench.estimate.curve.control_points, start.curve.control_points)
-
-
-def test_goes_on_with_the_velocity_alone():
-    """The velocity is one of two measurements: while it coasts, a track may still be told it."""
-    tips = {}
-    for moved in (False, True):
-        bench = Bench(AxisTipFilter())
-        bench.manager.start_at(bench.context, measurement())
-        told = VelocityMeasurement(np.array([2e-3, 0, 0]), 1e-7 * np.eye(3), 0.9)
-        speed = {"velocity": told if moved else NotFound("the speckle has changed")}
-        for n in (1, 2):
-            estimate = bench.step(float(n), measurement=NotFound("dark"), **speed)
-        assert estimate.mode == TrackingMode.COASTING
-        assert estimate.reason == "dark"
-        tips[moved] = estimate.curve.tip[0]
-    assert tips[True] > tips[False] + 2e-3
 
 
 def test_a_filter_must_take_the_order():

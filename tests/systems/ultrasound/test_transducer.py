@@ -119,3 +119,16 @@ def test_frequency_must_suit_the_transducer():
 def test_imaging_errors_name_the_field(name, value):
     with pytest.raises(ValueError, match=name):
         ImagingParameters(**{name: value})
+
+
+def test_lines_of_a_linear_probe_are_parallel_and_cover_its_face():
+    imaging = ImagingParameters(
+        transmit_frequency=7.5e6, focus_depth=0.03, depth=0.045, sector=1.0, sample_pitch=0.1e-3,
+        frames=1, frame_pitch_deg=0.01, volume_rate=20.0,
+    )  # fmt: skip
+    geometry = sweep_geometry(load_transducer("4dl14_5_38"), imaging)
+    ends = geometry.position(0, np.array([0, geometry.lines - 1])[:, np.newaxis], [0, 450], 1)
+    width = ends[1, :, 0] - ends[0, :, 0]
+    assert width[0] == pytest.approx(38.6e-3, rel=0.02)
+    assert width[1] == pytest.approx(width[0], rel=0.011)
+    assert np.abs(ends[..., 1] - [0, 0.045]).max() < 0.06e-3

@@ -19,7 +19,7 @@ LYING = LyingProbe(delay=0.06, X_PI=RigidTransform([1e-3, 0.0, 1e-3]))
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory):
     path = tmp_path_factory.mktemp("calibrated") / "a.seq.nrrd"
-    LYING.record(path, 14)
+    LYING.record(path, 11)
     return path
 
 
@@ -58,7 +58,7 @@ def test_tracking_corrects_and_reports_the_errors(recorded, short, tmp_path):
     result = track_recording(Recording(recorded), correct_poses=True, out=tmp_path)
     summary = json.loads((tmp_path / "summary.json").read_text())
     assert summary["pose_errors"]["delay_ms"] == pytest.approx(60, abs=6)
-    assert len(result.estimates) == 14
+    assert len(result.estimates) == 11
     assert "pose_errors" not in track_recording(Recording(short)).summary
 
 
@@ -77,7 +77,7 @@ def test_a_place_in_the_image_stays_there_when_poses_are_corrected(recorded):
     bench = TrackerBench(MakeNeedleTracker(period=1.0, correct_poses=True))
     samples = (Sample(volume, X_WL) for volume in Recording(recorded))
     assert bench.run(samples, [lambda tracked: frames.append((tracked.volume, tracked.X_WL))])
-    assert len(bench.log().compute["track"]) == len(frames) == 14
+    assert len(bench.log().compute["track"]) == len(frames) == 11
     (volume, X), corrected = frames[-1], bench.evaluate("corrected_volume")
     p_P = np.array([5e-3, 40e-3, 2e-3])
     moved = np.linalg.norm(corrected.X_WP.multiply(p_P) - volume.X_WP.multiply(p_P))

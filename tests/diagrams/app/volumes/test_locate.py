@@ -88,10 +88,8 @@ def test_the_same_volume_stored_otherwise_has_the_same_needle(tmp_path, made):
     R = RollPitchYaw(0.3, -0.4, 0.5).ToRotationMatrix().matrix()
     others = {
         "rotated": (array, R @ steps, R @ origin, R),
-        "left-handed": (array[::-1], steps * [-1, 1, 1], origin + size * [1, 0, 0], None),
         "upside down": (array[:, ::-1, ::-1], steps * [1, -1, -1], origin + size * [0, 1, 1], None),
         "permuted": (array.transpose(2, 0, 1), steps[:, [2, 0, 1]], origin, None),
-        "float": (array.astype(np.float32) / 255, steps, origin, None),
         "int16": (array.astype(np.int16) * 100 - 1000, steps, origin, None),
     }
     for name, (voxels, directions, first, turned) in others.items():
@@ -101,10 +99,13 @@ def test_the_same_volume_stored_otherwise_has_the_same_needle(tmp_path, made):
         assert_same_needle(locate_in_recording(recording), wanted, turned, 0.15, 0.15)
 
 
-def test_anisotropic_voxels_show_the_same_needle(tmp_path):
+@pytest.mark.parametrize(
+    "seeds", [(104, 105), pytest.param((104, 105, 106, 107), marks=pytest.mark.slow)]
+)
+def test_anisotropic_voxels_show_the_same_needle(tmp_path, seeds):
     """To 0.4 mm and 0.3 deg in the median: another grid has other noise at a needle's end."""
     tips, angles = [], []
-    for seed in (104, 105, 106, 107):
+    for seed in seeds:
         volume = random_scan(seed).volume
         spacing, other = 1e3 * volume.spacing, np.array([0.3, 0.6, 1.1])
         wanted = locate_in_recording(Recording(write_volume(tmp_path / "a.nrrd", volume)))
@@ -137,8 +138,10 @@ def test_an_array_and_a_spacing_are_enough(made):
     assert np.linalg.norm(bent.curve.tip - tip) < 2e-3
 
 
-@pytest.mark.parametrize("content", ["zeros", "constant", "noise"])
-@pytest.mark.parametrize("shape", [(2, 2, 2), (40, 50, 30)])
+@pytest.mark.parametrize(
+    ("content", "shape"),
+    [("constant", (2, 2, 2)), ("zeros", (40, 50, 30)), ("noise", (40, 50, 30))],
+)
 def test_arrays_without_content_have_no_needle(content, shape):
     noise = np.random.default_rng(0).integers(0, 255, shape)
     array = {"zeros": np.zeros(shape), "constant": np.full(shape, 80), "noise": noise}[content]

@@ -57,13 +57,6 @@ def test_a_level_needle_is_at_its_own_coordinates(make_volume, sense, angle):
         assert view.plane.X_PS.rotation().matrix()[0, 0] > 0
 
 
-def test_along_a_dipping_needle_zero_is_below_the_middle_of_the_probe(make_volume):
-    _, level = views(make_volume(zeros), [-0.03, 0.02, 0.01], [0.03, 0.06, 0.01])
-    np.testing.assert_allclose(level.coordinates(np.array([0.0, 0.04, 0.01])), [0, 0.01], atol=1e-9)
-    length = np.hypot(0.03, 0.02)
-    np.testing.assert_allclose(level.coordinates(np.array([0.03, 0.06, 0.01])), [length, 0.01])
-
-
 @pytest.mark.parametrize("entry", [[-0.05, 0.03, 0.0], [-0.02, 0.01, 0.03], [0.0, 0.0, 0.0]])
 def test_windows_of_one_size_hold_the_slices(make_volume, entry):
     volume = make_volume(zeros)

@@ -19,13 +19,6 @@ def site():
         yield site
 
 
-def test_the_token_is_not_written_into_the_page(site):
-    cookie = f"{site.cookie}={site.access.token}"
-    _, _, text = get(site.address("page").partition("?")[0], Cookie=cookie)
-    assert site.access.token not in text
-    assert "cookies" not in text
-
-
 @pytest.mark.parametrize("path", ["", "ws", "autoload.js", "metadata", "no-such-file"])
 def test_nothing_but_the_library_is_served_without_the_token(site, path):
     bare = site.address("page").partition("?")[0]

@@ -11,7 +11,6 @@ from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 
-from sonoservo.systems.display.world.parts import facing
 from sonoservo.systems.display.world.world_view import WorldView
 from sonoservo.systems.evaluation.reports.report import save_replay
 from sonoservo.systems.signals.guard_status import GuardState, GuardStatus
@@ -196,14 +195,6 @@ def test_the_force_is_an_arrow_onto_the_phantom_with_its_value(meshcat):
     publish(view, 3.0, X_WP, contact_force=-1.0)
     assert not visible(meshcat, "push/force/arrow")
     assert not visible(meshcat, "push/force/value/2.0 N")
-
-
-def test_a_panel_is_parallel_to_the_image_of_the_camera():
-    R = facing([0.5, -0.7, 0.9], [0.5, 0.3, 0.9])
-    np.testing.assert_allclose(R.matrix().T, [[1, 0, 0], [0, 0, -1], [0, 1, 0]], atol=1e-12)
-    R = facing([0.0, -1.0, 1.0], [0.0, 0.0, 0.0])
-    np.testing.assert_allclose(R.matrix()[:, 2], [0, 0.5**0.5, -(0.5**0.5)], atol=1e-12)
-    facing([0, 0, 1], [0, 0, 0])  # straight down
 
 
 class Volumes(LeafSystem):

@@ -8,7 +8,6 @@ from sonoservo.systems.robot.errors.calibration import (
     hand_eye_error,
     joint_offsets,
 )
-from sonoservo.systems.robot.forward_kinematics import ForwardKinematics
 
 
 def test_hand_eye_error_has_its_length_and_angle_and_any_direction():
@@ -36,16 +35,3 @@ def test_without_errors_nothing_is_wrong():
 def test_joint_offsets_have_their_deviation():
     offsets = joint_offsets(CalibrationParameters(joint_offset_deg=0.2), 4000, 3)
     assert np.rad2deg(offsets.std()) == pytest.approx(0.2, rel=0.05)
-
-
-def test_forward_kinematics_is_the_plants():
-    X_PC = RigidTransform([1e-3, 2e-3, 3e-3])
-    arm = assemble_arm(X_PC=X_PC)
-    leaf = ForwardKinematics(plant=arm.plant, frame=arm.frame)
-    context = leaf.CreateDefaultContext()
-    q = arm.home + np.linspace(-0.3, 0.3, 6)
-    leaf.get_input_port().FixValue(context, np.concatenate([q, np.ones(6)]))
-    plant_context = arm.plant.CreateDefaultContext()
-    arm.plant.SetPositions(plant_context, q)
-    expected = arm.probe.EvalPoseInWorld(plant_context) @ X_PC
-    assert leaf.get_output_port().Eval(context).IsNearlyEqualTo(expected, 1e-12)

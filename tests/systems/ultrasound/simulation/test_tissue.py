@@ -41,14 +41,6 @@ def test_ranks_rise_within_a_block_and_are_uniform():
     assert share == pytest.approx(len(tile.ranks) / 10, rel=0.05)
 
 
-@pytest.mark.parametrize("density", [1e8, 1e9, 1e11])
-def test_blocks_stay_small(density):
-    """Blocks hold enough scatterers to be worth the visit, and are at most 4 mm large."""
-    tile = make_tile(density, np.random.default_rng(0))
-    assert tile.block_size <= 4e-3
-    assert len(tile.ranks) <= 170 * BLOCKS**3
-
-
 def test_agar_is_dark_and_has_bright_things_anywhere_also_in_a_needles_way():
     """The way of `chatelain2013_fig5`: from 42 mm below the top, dipping by 5 deg, +-10 mm."""
     agar = load_tissue("agar")
@@ -136,10 +128,6 @@ def test_random_fibres_have_the_stated_density_lengths_levels_and_direction():
     levels = [fibre.level_db for fibre in drawn]
     assert 15 <= min(levels) < 16
     assert 29 < max(levels) <= 30
-
-
-def test_there_are_no_random_fibres_unless_asked_for():
-    assert Tissue().random_fibres.draw([0.2, 0.1, 0.1], np.random.default_rng(0)) == []
 
 
 @pytest.mark.parametrize(

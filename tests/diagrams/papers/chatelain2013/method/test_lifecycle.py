@@ -1,7 +1,6 @@
 """The published life of a track: no gate, no search for a lost needle."""
 
 import numpy as np
-import pytest
 from pydrake.math import RigidTransform
 
 from sonoservo.diagrams.papers.chatelain2013.method.lifecycle import PublishedLifecycle
@@ -10,7 +9,6 @@ from sonoservo.systems.signals.insertion_detection import InsertionDetection
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_estimate import TrackingMode
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
-from sonoservo.systems.tracking.axis_tip_filter import AxisTipFilter
 from sonoservo.systems.tracking.control_point_filter import ControlPointFilter
 from sonoservo.systems.tracking.track import Track
 
@@ -64,8 +62,3 @@ def test_a_needle_not_seen_coasts_and_is_given_up_without_a_search():
         assert track.mode == TrackingMode.COASTING
         assert not LIFE.predict(track, 0.6 + 0.3 * n, RigidTransform()).everywhere
     assert step(track, 9.0).mode == TrackingMode.SEARCHING
-
-
-def test_the_filter_must_take_the_order():
-    with pytest.raises(ValueError, match="order: 3"):
-        PublishedLifecycle(order=3, needle_filter=AxisTipFilter())

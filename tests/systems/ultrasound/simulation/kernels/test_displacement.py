@@ -111,12 +111,6 @@ def test_drag_is_along_the_needle_and_falls_with_the_distance_from_its_nearest_p
     np.testing.assert_allclose(moved, [[1e-3, 0, 0], [0, 0, -1e-3]], atol=1e-9)
 
 
-def test_without_contact_and_needle_nothing_moves():
-    still = field(depth=0.0)._replace(counts=np.zeros(1, np.int64))
-    points = np.random.default_rng(2).uniform(-0.05, 0, (5, 3))
-    np.testing.assert_array_equal(displace_points(points, still, 0, True), points)
-
-
 def test_limit_of_the_displacement_holds_everywhere_and_is_close():
     own = field(drag=1e-3, hole=0.6e-3**2)
     points = np.random.default_rng(3).uniform([-0.06, -0.06, -0.08], [0.06, 0.06, 0], (4000, 3))

@@ -12,7 +12,6 @@ from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
 from sonoservo.systems.ultrasound.simulation.reaction.deformation import (
     Deformation,
-    displacements,
     indentation,
 )
 from sonoservo.systems.ultrasound.simulation.rendering import SweepRenderer
@@ -120,18 +119,6 @@ def test_needle_moves_with_the_tissue_pressed_by_the_probe_but_not_by_its_own_pu
     assert abs(moved.shaft[0, 2] + 0.035) < 0.5e-3
     assert Deformation(shaft=ALONG, drag=1e-3).moved_needle(needle) is needle
     assert pushing.moved_needle(NONE) is NONE
-
-
-def test_tissue_at_rest_is_the_same_for_the_renderer():
-    first, second = (
-        displacements([replace(PRESSING, shaft=shaft)] * 2) for shaft in (ALONG[:0], ALONG)
-    )
-    for one, other in zip(first, second, strict=True):
-        np.testing.assert_array_equal(one, other)
-    long = np.linspace(ALONG[0], ALONG[1], 60)
-    thinned = displacements([Deformation(shaft=long, drag=1e-3)])
-    assert thinned.counts[0] < 10
-    np.testing.assert_allclose(thinned.shafts[0][[0, -1]], ALONG)
 
 
 def test_undeformed_tissue_looks_as_if_nothing_could_deform_it(renderer):

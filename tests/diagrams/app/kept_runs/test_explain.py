@@ -1,0 +1,156 @@
+"""What a run keeps to explain its estimates, and the command that draws it."""
+
+import json
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from sonoservo.diagrams import load_scenario, run, track_recording
+from sonoservo.diagrams.app.cli import app
+from sonoservo.diagrams.app.kept_runs.explain import explanation_table, read_explained_run
+from sonoservo.systems.evaluation.explanation.explained_volume import FOLDER, read_explanations
+from sonoservo.systems.evaluation.log import columns
+from sonoservo.systems.files.refusals import ConfigurationError
+from sonoservo.systems.recording.recording import Recording
+
+CHANGES = [
+    "duration=5.8",
+    "hand.start=0.5",
+    "hand.pushes=[{duration: 3.0, speed: 0.016}, {duration: 6.0, speed: -0.03}]",
+    "scan_conversion.spacing=[1e-3, 1e-3, 1e-3]",
+]
+"""The needle is pushed in, and pulled out again."""
+
+
+def sonoservo(*arguments):
+    """The result of a command, and the message if it ends with a mistake."""
+    result = CliRunner().invoke(app, ["explain", *map(str, arguments)])
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        assert isinstance(result.exception, ConfigurationError)
+    return result
+
+
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory):
+    """A run that loses its needle, and the folder with its explanations and its recording."""
+    out = tmp_path_factory.mktemp("explained") / "out"
+    scenario = load_scenario("chatelain2013_fig4", seed=101, changes=CHANGES)
+    return out, run(scenario, out=out, explain=True, record=out / "a.seq.nrrd")
+
+
+def test_the_volumes_around_each_change_are_kept_with_the_truth_apart(kept):
+    out, result = kept
+    explained = read_explained_run(out)
+    log = result.log
+    changes = log.volume_time[1:][log.volume_estimate_mode[1:] != log.volume_estimate_mode[:-1]]
+    times = np.array([each.volume_time for each in explained.kept])
+    assert len(changes) >= 2  # found, and withdrawn
+    assert set(changes) <= set(times) <= set(log.volume_time)
+    assert len(times) < len(log.volume_time)
+    for row, volume in zip(explained.rows(), explained.kept, strict=True):
+        (number,) = np.flatnonzero(log.volume_time == volume.volume_time)
+        assert row["mode_after"] == log.volume_estimate_mode[number]
+        measured = log.volume_measured_tip[number]
+        assert len(volume.measured) == np.isfinite(measured).all() * 2
+        if len(volume.measured):
+            np.testing.assert_array_equal(volume.measured[-1], measured)
+            assert row["innovation"] < row["gate"] or np.isnan(row["innovation"]) or row["reason"]
+    assert any(row["occasion"] == "searching to tracking" for row in explained.rows())
+
+
+def test_the_true_needle_lies_on_its_echo(kept):
+    out, _ = kept
+    explained = read_explained_run(out)
+    (volume,) = [each for each in explained.kept if each.occasion == "searching to tracking"]
+    beam = explained.sheet(volume).axes[0]
+    (truth,) = [each for each in beam.lines if each.get_label() == "true needle (truth)"]
+    picture = beam.images[0]
+    left, right, bottom, top = picture.get_extent()
+    x, y = np.array(truth.get_data())
+    rows, columns_ = picture.get_array().shape
+    j = ((x - left) / (right - left) * columns_).astype(int)
+    i = ((y - top) / (bottom - top) * rows).astype(int)
+    inside = (j >= 0) & (j < columns_)
+    grey = np.asarray(picture.get_array(), float)
+    on_it = np.array(
+        [grey[a - 2 : a + 3, b].max() for a, b in zip(i[inside], j[inside], strict=True)]
+    )
+    seen = on_it > 0
+    assert np.median(on_it[seen]) > np.median(grey[grey > 0]) + 40
+
+
+def test_what_an_earlier_run_kept_is_removed(tmp_path):
+    (tmp_path / FOLDER).mkdir()
+    (tmp_path / FOLDER / "0001.000s.npz").write_bytes(b"of an earlier run")
+    run("chatelain2013_fig4", changes=["duration=0.4"], out=tmp_path)
+    assert not (tmp_path / FOLDER).exists()
+
+
+def test_a_recording_is_explained_as_the_run_was(kept, tmp_path):
+    out, _ = kept
+    track_recording(Recording(out / "a.seq.nrrd"), out=tmp_path, explain=True)
+    there, here = read_explanations(out), read_explanations(tmp_path)
+    assert len(there) == len(here)
+    for before, after in zip(there, here, strict=True):
+        for name in columns(type(before)):
+            np.testing.assert_array_equal(getattr(before, name), getattr(after, name))
+    errors = [row["tip_error_mm"] for row in read_explained_run(tmp_path).rows()]
+    assert np.nanmedian(errors) < 3
+
+
+def test_the_command_lists_and_draws(kept, tmp_path):
+    out, _ = kept
+    listed = sonoservo(out, "--json", tmp_path / "rows.json")
+    assert listed.exit_code == 0
+    assert "searching → tracking" in " ".join(listed.stdout.split())
+    rows = json.loads((tmp_path / "rows.json").read_text())
+    assert len(rows) == len(read_explanations(out))
+    assert explanation_table(read_explained_run(out).rows()).row_count == len(rows)
+    row = next(row for row in rows if row["reason"] == "the needle was withdrawn")
+    picture = tmp_path / "a.png"
+    time = row["time_s"] + 0.01
+    drawn = sonoservo(out, "--time", time, "--out", picture, "--json", tmp_path / "row.json")
+    assert drawn.exit_code == 0
+    assert row["reason"] in " ".join(drawn.stdout.split())
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert json.loads((tmp_path / "row.json").read_text()) == row
+    assert sonoservo(out, "--time", time).exit_code == 0
+    assert (out / f"explanation_{row['time_s']:.2f}s.png").is_file()
+
+
+@pytest.mark.parametrize(
+    ("name", "arguments", "message"),
+    [
+        ("nowhere", [], "there is no folder .*nowhere; make it: sonoservo run .* --explain"),
+        ("plain", [], "plain has no explanations; repeat the run with --explain"),
+        ("quiet", [], "nothing happened that was to be explained"),
+        ("out", ["--time", "100"], r"time: 100 s is outside; .* from \d+\.\d+ to \d+\.\d+ s"),
+        ("out", ["--time", "nan"], "time: nan s is outside"),
+    ],
+)
+def test_a_mistake_is_one_line_that_says_what_to_do(kept, tmp_path, name, arguments, message):
+    (tmp_path / "plain").mkdir()
+    (tmp_path / "quiet" / FOLDER).mkdir(parents=True)
+    folder = kept[0] if name == "out" else tmp_path / name
+    result = sonoservo(folder, *arguments)
+    with pytest.raises(ConfigurationError, match=message) as error:
+        raise result.exception
+    assert len(str(error.value).splitlines()) == 1
+
+
+def test_without_a_folder_nothing_can_be_explained():
+    with pytest.raises(ConfigurationError, match="explain: there is no folder"):
+        run(load_scenario("chatelain2013_fig4"), explain=True)
+
+
+def test_without_the_log_the_truth_is_not_known(kept, tmp_path):
+    out, _ = kept
+    (tmp_path / FOLDER).mkdir()
+    for path in (out / FOLDER).iterdir():
+        (tmp_path / FOLDER / path.name).write_bytes(path.read_bytes())
+    explained = read_explained_run(tmp_path)
+    assert np.isnan([row["tip_error_mm"] for row in explained.rows()]).all()
+    assert "truth" not in str(
+        explained.sheet(explained.kept[-1]).axes[0].get_legend_handles_labels()
+    )

@@ -1,0 +1,107 @@
+import numpy as np
+import pytest
+from scipy.special import i0
+
+from sonoservo.systems.signals.point_spread import FWHM_PER_SIGMA, PointSpread
+from sonoservo.systems.signals.sweep import SweepGeometry
+from tip_study.bound import envelope_log_likelihood, field_log_likelihood
+from tip_study.needle_end import EchoModel, EndSamples, NeedleEnd, echo_model, samples_near
+
+GEOMETRY = SweepGeometry(
+    array_radius=0.04, motor_radius=0.027, line_pitch=0.0106, frame_pitch=0.0255,
+    sample_pitch=0.4e-3, lines=96, frames=11, samples=226, frame_period=0.03,
+)  # fmt: skip
+SPREAD = PointSpread(np.array([0.0]), *(np.array([width]) for width in (2.4e-3, 1.9e-3, 0.42e-3)))
+
+
+def line(spacing=1.0, reach=8.0, rings=((0.0, 0.0),)):
+    """Samples on the axis and on lines beside it, in units of the blur."""
+    along = np.arange(-reach, reach + 1e-9, spacing)
+    return EndSamples(1e-3, np.repeat(along, len(rings)), np.tile(rings, (len(along), 1)))
+
+
+def drawn(model, tip, rng):
+    noise = rng.normal(scale=np.sqrt(0.5), size=(2, model.mean.shape[1]))
+    return model.mean[tip] + model.root[tip] @ (noise[0] + 1j * noise[1])
+
+
+def posterior_variance(tips, log_likelihood):
+    weights = np.exp(log_likelihood - log_likelihood.max())
+    weights /= weights.sum()
+    return weights @ tips**2 - (weights @ tips) ** 2
+
+
+def cramer_rao(end, samples, noise_db=-30.0):
+    """Bound of a circular Gaussian field with mean m and covariance C, in units of the blur.
+
+    Its information is tr(C^-1 C' C^-1 C') + 2 m'^H C^-1 m' (Kay 1993, section 15.7).
+    """
+    model = echo_model(end, samples, np.array([-0.125, 0.0, 0.125]), noise_db)
+    C = model.root @ model.root.conj().swapaxes(1, 2)
+    ratio = np.linalg.solve(C[1], C[2] - C[0]) / 0.25
+    mean = (model.mean[2] - model.mean[0]) / 0.25
+    of_mean = 2 * (mean.conj() @ np.linalg.solve(C[1], mean)).real
+    return 1 / np.sqrt(np.trace(ratio @ ratio).real + of_mean)
+
+
+def test_phases_are_integrated_out():
+    rng = np.random.default_rng(1)
+    model = echo_model(NeedleEnd(shaft_db=10, mirror_db=8), line(1.0, 1.0), np.zeros(1), -20.0)
+    r = np.abs(drawn(model, 0, rng))
+    inverse = np.linalg.inv(model.root[0] @ model.root[0].conj().T)
+    phases = np.stack(np.meshgrid(*3 * [np.arange(24) / 24 * 2 * np.pi]), axis=-1).reshape(-1, 3)
+    away = r * np.exp(1j * phases) - model.mean[0]
+    density = np.exp(-np.einsum("pi,ij,pj->p", away.conj(), inverse, away).real)
+    expected = np.prod(2 * r) * density.mean() * np.linalg.det(inverse)
+    found = envelope_log_likelihood(model, r, rng, particles=20000)[0]
+    assert found == pytest.approx(np.log(expected), abs=0.03)
+    # The mean's own phase does not matter to a field of unknown phase.
+    turned = EchoModel(model.mean * 1j, model.root)
+    for each in (model, turned):
+        assert field_log_likelihood(each, away[0])[0] == pytest.approx(
+            field_log_likelihood(model, away[0])[0]
+        )
+
+
+def test_a_pair_of_fields_without_a_mean_has_the_closed_form():
+    covariance = np.array([[3.0, 1.2], [1.2, 2.0]])
+    r = np.array([1.3, 0.9])
+    found = envelope_log_likelihood(
+        EchoModel(np.zeros((1, 2), complex), np.linalg.cholesky(covariance)[np.newaxis]), r,
+        np.random.default_rng(0), particles=1000,
+    )[0]  # fmt: skip
+    inverse = np.linalg.inv(covariance)
+    expected = 4 * np.prod(r) * np.linalg.det(inverse) * i0(2 * abs(inverse[0, 1]) * np.prod(r))
+    expected *= np.exp(-(r**2 @ np.diag(inverse)))
+    assert found == pytest.approx(np.log(expected), abs=1e-2)
+
+
+@pytest.mark.parametrize(
+    ("end", "least", "most"),
+    [(NeedleEnd(shaft_db=5, mirror_db=30), 0.9, 1.2), (NeedleEnd(shaft_db=30), 1.3, 3)],
+)
+def test_maximum_likelihood_attains_the_bound_of_a_mirror_like_end(end, least, most):
+    """The Cramer-Rao bound is that of a mirror-like end, and too low for a rough one."""
+    rng = np.random.default_rng(2)
+    tips = np.arange(-1, 1.01, 0.05)
+    models = echo_model(end, line(0.75), tips, -30.0)
+    middle = len(tips) // 2
+    likelihoods = [field_log_likelihood(models, drawn(models, middle, rng)) for _ in range(100)]
+    bound = np.sqrt(np.mean([posterior_variance(tips, each) for each in likelihoods]))
+    errors = tips[[int(each.argmax()) for each in likelihoods]]
+    assert least < bound / cramer_rao(end, line(0.75)) < most
+    assert 0.85 * bound < np.sqrt(np.mean(errors**2)) < 1.5 * bound
+
+
+def test_the_blur_on_the_axis_is_the_unit_of_length():
+    k = np.array([np.cos(0.5), np.sin(0.5), 0.0])
+    places = [np.array([0, 0.05, z]) for z in np.linspace(0, 0.077 * 0.0255, 8)]
+    found = [samples_near(GEOMETRY, SPREAD, place, k) for place in places]
+    lateral, axial = 2.4e-3 / FWHM_PER_SIGMA, 0.42e-3 / FWHM_PER_SIGMA
+    assert found[0].blur == pytest.approx(1 / np.hypot(k[0] / lateral, k[1] / axial))
+    assert np.all(np.diff(found[0].along) >= 0)
+    # As many as the cylinder has room for.
+    cell = 0.09 * 0.0106 * 0.077 * 0.0255 * 0.4e-3
+    unit = lateral * axial * 1.9e-3 / FWHM_PER_SIGMA
+    count = np.mean([len(each.along) for each in found])
+    assert count == pytest.approx(16 * np.pi * 2**2 * unit / cell, rel=0.15)
