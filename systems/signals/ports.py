@@ -28,8 +28,9 @@ Types = type | tuple[type, ...]
 
 def _model(types: Types) -> AbstractValue:
     """Return the model value of an abstract port: of Drake's own type, or the types of objects."""
-    drakes = isinstance(types, type) and types.__module__.startswith("pydrake.")
-    return Value(types()) if drakes else Value[object](types)
+    if isinstance(types, type) and types.__module__.startswith("pydrake."):
+        return Value(types())
+    return Value[object](types)
 
 
 def declare_inputs(system: LeafSystem, **types: Types | int) -> None:

@@ -1,13 +1,14 @@
 """The leaf that moves probe and phantom as planned, in place of a robot."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
+from pydrake.common.value import AbstractValue
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import Diagram, LeafSystem, System
+from pydrake.systems.framework import Context, Diagram, LeafSystem, System
 from pydrake.trajectories import Trajectory
 
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
@@ -123,9 +124,15 @@ class PlannedMotion(LeafSystem):
                 self,
                 name,
                 RigidTransform,
-                lambda context, output, pose=pose: output.set_value(pose(context.get_time())),
+                partial(self._set_pose, pose),
                 {self.time_ticket()},
             )
+
+    @staticmethod
+    def _set_pose(
+        pose: Callable[[float], RigidTransform], context: Context, output: AbstractValue
+    ) -> None:
+        output.set_value(pose(context.get_time()))
 
     def _calibrated(self, time: float) -> RigidTransform:
         return self._plan.probe(time) @ self._X_PC
