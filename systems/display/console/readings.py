@@ -138,7 +138,8 @@ def needle_readings(sample: Sample) -> list[Reading]:
 def describe_state(sample: Sample | None) -> dict[str, str]:
     """Return the state in words: ``kind``, ``word``, ``detail`` and ``advice``.
 
-    The kind is stopped, showing, waiting or the mode; the detail is the reason.
+    The kind is stopped, showing, waiting or the mode; the detail is the reason. In simulation there
+    is advice only while the needle is in the body: without it there is nothing to be found.
     """
     if sample is None:
         return {"kind": "waiting", "word": "waiting", "detail": _WAITING, "advice": ""}
@@ -155,7 +156,11 @@ def describe_state(sample: Sample | None) -> dict[str, str]:
     if kind == "searching" and detail != _WAITING:
         reason = SearchReason.of(detail)
         if reason is not None:
-            detail, advice = reason.words, reason.run_advice
+            detail = reason.words
+            if math.isnan(sample.inserted):  # volumes of one's own
+                advice = reason.track_advice
+            elif sample.inserted > 0:
+                advice = reason.run_advice
     return {"kind": kind, "word": kind, "detail": detail, "advice": advice}
 
 
