@@ -4,6 +4,7 @@ import os
 import time
 from pathlib import Path
 
+import nibabel
 import nrrd
 import numpy as np
 import pytest
@@ -148,6 +149,24 @@ def test_arrays_without_content_have_no_needle(content, shape):
     found = locate(array.astype(np.uint8), [1e-3] * 3)
     assert not found
     assert found.reason
+
+
+def test_a_volume_of_a_file_with_four_axes(tmp_path, made):
+    array = made.volume.intensities.astype(np.uint8)
+    both = np.stack([0 * array, array], axis=-1)
+    steps, origin = 1e3 * made.volume.spacing, 1e3 * made.volume.origin
+    wanted = locate_in_recording(write(tmp_path / "a.nrrd", array, np.diag(steps), origin))
+    directions = np.column_stack([np.diag(steps), np.full(3, np.nan)])
+    write(tmp_path / "b.nrrd", both, directions, origin)
+    affine = np.diag([*steps, 1.0])
+    affine[:3, 3] = origin
+    image = nibabel.Nifti1Image(both, np.diag([-1.0, -1.0, 1.0, 1.0]) @ affine)
+    image.header.set_xyzt_units("mm", "sec")
+    nibabel.save(image, tmp_path / "b.nii.gz")
+    for name in ("b.nrrd", "b.nii.gz"):
+        found = locate_in_recording(Recording(tmp_path / name), 1)
+        assert found["volume"] == 1
+        assert_same_needle(found, wanted)
 
 
 def test_a_volume_that_is_not_there(tmp_path, made):
