@@ -10,7 +10,7 @@ import traceback
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer.main import get_command
@@ -58,6 +58,7 @@ from sonoservo.systems.files.refusals import ConfigurationError, describe, short
 if TYPE_CHECKING:
     from sonoservo.diagrams.app.pages.pages import Pages
     from sonoservo.diagrams.app.run_result import RunResult
+    from sonoservo.diagrams.experiments.experiment import Experiment
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -140,6 +141,7 @@ def run_command(
         from sonoservo.diagrams.experiments.registry import load_scenario
 
         loaded = load_scenario(scenario, changes=changes, seed=seed, as_published=as_published)
+    viewed = ViewedRun(log, loaded)
     folder = results.out or free_folder(f"{loaded.name}_seed{loaded.seed}")
     if click:
         from sonoservo.diagrams.app.pages.first_click import ask_click
@@ -155,7 +157,11 @@ def run_command(
         serving(serve, loaded, say) as observers,
         Progress(console, loaded) as progress,
     ):
-        viewed = ViewedRun(log, loaded, progress)
+
+        def note(experiment: "Experiment[Any]") -> None:
+            progress(experiment)
+            viewed(experiment)
+
         result = run(
             loaded,
             out=folder,
@@ -167,7 +173,7 @@ def run_command(
             record_sweeps=record_sweeps,
             explain=explain,
             observers=observers,
-            after_step=viewed,
+            after_step=note,
             progress=False,
         )
     viewed.end(result.log)
@@ -223,6 +229,7 @@ def drive_command(
     following = require_scenario(loaded, FollowingScenario)
     with refusing(loaded):
         following = replace(following, duration=duration)
+    viewed = ViewedRun(log, following)
     folder = results.out or Path("out") / f"{loaded.name}_driven_seed{loaded.seed}"
     pages = open_pages(console, f"{loaded.name}, driven", page)
     console.print(DRIVING)
@@ -230,7 +237,6 @@ def drive_command(
         serving(serve, following, say) as observers,
         Progress(console, following) as progress,
     ):
-        viewed = ViewedRun(log, following)
         result = drive(
             following,
             pages.console,

@@ -36,13 +36,7 @@ class ViewedRun:
     missing, or the scenario is of another experiment.
     """
 
-    def __init__(
-        self,
-        path: Path | None,
-        scenario: Scenario | None = None,
-        after_step: Callable[[Experiment[Any]], None] | None = None,
-    ) -> None:
-        self._after_step = after_step
+    def __init__(self, path: Path | None, scenario: Scenario | None = None) -> None:
         self._log = None
         self._scenario: FollowingScenario | None = None
         if path is None:
@@ -53,8 +47,6 @@ class ViewedRun:
 
     def __call__(self, experiment: Experiment[Any]) -> None:
         """Write the newest volume with its slices."""
-        if self._after_step is not None:
-            self._after_step(experiment)
         if self._log is not None and isinstance(experiment, FollowingExperiment):
             volume = experiment.evaluate(experiment.scan_converter, "volume")
             if isinstance(volume, Volume):

@@ -41,6 +41,12 @@ def sector_edges(geometry: SweepGeometry, points: int = 17) -> list[NDArray[np.f
     return edges
 
 
+def circle(radius: float) -> NDArray[np.float64]:
+    """Return (33, 3) points around the Z axis, the first one again at the end."""
+    turns = np.linspace(0, 2 * np.pi, 33)
+    return radius * np.stack([np.cos(turns), np.sin(turns), np.zeros(33)], axis=1)
+
+
 def tubes(polylines: list[NDArray[np.float64]], radius: float) -> TriangleSurfaceMesh:
     """Return triangular tubes around polylines as one mesh; WebGL draws lines only hair-thin."""
     vertices: list[Any] = []

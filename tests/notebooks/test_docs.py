@@ -92,8 +92,8 @@ def quick(tmp_path, monkeypatch):
         data |= SHORT[data.get("experiment", "following")]
         known[name] = write_atomically(tmp_path / "short" / f"{name}.yaml", yaml.safe_dump(data))
     monkeypatch.setattr(registry, "list_scenarios", lambda: known)
-    for module in ("kept_run", "compare"):  # drawing takes longer than the run itself
-        monkeypatch.setattr(f"sonoservo.diagrams.app.kept_runs.{module}.png", lambda figure: b"")
+    for module in ("run_result", "kept_runs.compare"):  # drawing takes longer than the run itself
+        monkeypatch.setattr(f"sonoservo.diagrams.app.{module}.png", lambda figure: b"")
     monkeypatch.chdir(tmp_path)
     write_atomically("mine.yaml", "duration: 0.4")
     return tmp_path

@@ -146,7 +146,11 @@ def describe_state(sample: Sample | None) -> dict[str, str]:
     if kind == "searching" and detail != _WAITING:
         reason = SearchReason.of(detail)
         if reason is not None:
-            detail, advice = reason.words, reason.run_advice
+            detail = reason.words
+            if math.isnan(sample.inserted):  # volumes of one's own
+                advice = reason.track_advice
+            elif sample.inserted > 0:  # without the needle in the body nothing is to be found
+                advice = reason.run_advice
     return {"kind": kind, "word": kind, "detail": detail, "advice": advice}
 
 

@@ -150,7 +150,7 @@ class Site:
         self._loop = asyncio.new_event_loop()
         self.cookie = f"sonoservo_{self.port}"
         self._application = Application(
-            [("/", _Index, {"titles": self._titles})],
+            [("/", _Index, {"titles": self._titles}), (r"/favicon\.ico", _NoIcon)],
             default_handler_class=_Unknown,
             default_handler_args={},
             access=self.access,
@@ -309,6 +309,13 @@ class _Index(Guarded):
             for page, title in self._titles.items()
         )
         self.finish(f'<!DOCTYPE html><meta charset="utf-8"><title>sonoservo</title><ul>{rows}</ul>')
+
+
+class _NoIcon(Guarded):
+    """Answers a browser that asks for the icon of a page without one, which a 404 would warn of."""
+
+    def get(self) -> None:
+        self.set_status(204)
 
 
 class _Unknown(Guarded):

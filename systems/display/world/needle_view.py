@@ -1,18 +1,18 @@
 """The true needle and its estimate, drawn in Meshcat."""
 
-import numpy as np
 from pydrake.geometry import Meshcat, Sphere
 from pydrake.math import RigidTransform, RotationMatrix
 
 from sonoservo.systems.display.colours import HUB, MODE_COLOURS, STEEL, rgba
-from sonoservo.systems.display.shapes import tubes
+from sonoservo.systems.display.shapes import circle, tubes
 from sonoservo.systems.display.world.parts import Rod, Switch
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
 
 # Smallest radius of a drawn needle, and radius of the ball at its tip, in m.
 _VISIBLE, _BALL = 1.3e-3, 2.2e-3
-_RING = 6e-3  # Radius of the ring around the estimated tip, in m: clear of the true one
+RING = 6e-3
+"""Radius of the ring around what was estimated, in m: clear of the true tip."""
 
 
 class NeedleView:
@@ -59,8 +59,6 @@ class EstimateView:
 
     def __init__(self, *, meshcat: Meshcat, path: str) -> None:
         self._meshcat, self._path = meshcat, path
-        turns = np.linspace(0, 2 * np.pi, 33)
-        ring = _RING * np.stack([np.cos(turns), np.sin(turns), np.zeros(33)], axis=1)
         self._rods = {}
         for mode, colour in MODE_COLOURS.items():
             if mode == TrackingMode.SEARCHING:
@@ -69,7 +67,7 @@ class EstimateView:
             self._rods[mode] = Rod(
                 meshcat=meshcat, path=below, radius=8e-4, colour=rgba(colour), segments=4
             )
-            meshcat.SetObject(f"{below}/ring", tubes([ring], 8e-4), rgba(colour))
+            meshcat.SetObject(f"{below}/ring", tubes([circle(RING)], 8e-4), rgba(colour))
             for part in ("ring", *(f"{number}/unit" for number in range(4))):
                 meshcat.SetProperty(f"{below}/{part}/<object>", "material.depthTest", False)
                 meshcat.SetProperty(f"{below}/{part}/<object>", "renderOrder", 1.0)

@@ -121,8 +121,8 @@ class Label:
         return Switch(meshcat=self._meshcat, path=path)
 
 
-# Number of pictures held, besides those of a replay, for pages that have yet to fetch them.
-_RECENT = 16
+# Time in s for which pictures that no replay needs are held for pages that have yet to fetch them.
+_HELD = 5.0
 
 
 class Film:
@@ -135,7 +135,8 @@ class Film:
     def __init__(self, *, meshcat: Meshcat, path: str, frames: int, period: float) -> None:
         self._meshcat, self._path = meshcat, path
         self._frames, self._period = frames, period
-        self._kept = self._shown = 0
+        self._kept = 0
+        self._recent: list[float] = []  # time of each picture that is held
         self._newest = -np.inf
 
     def show(self, gltf: str, time: float) -> None:
@@ -149,10 +150,12 @@ class Film:
         if self._kept == self._frames or time < self._newest + self._period:
             # Meshcat drops the textures of a replaced object, but a slow page may still ask for
             # them.
-            recent = f"{self._path}/recent/{self._shown % _RECENT}"
+            old = (k for k, drawn in enumerate(self._recent) if not time - _HELD < drawn <= time)
+            place = next(old, len(self._recent))
+            self._recent[place : place + 1] = [time]
+            recent = f"{self._path}/recent/{place}"
             self._meshcat.SetObject(recent, mesh)
             self._meshcat.SetProperty(recent, "visible", False)
-            self._shown += 1
             return
         path = f"{self._path}/{self._kept}"
         self._meshcat.SetObject(path, mesh)

@@ -3,15 +3,15 @@
 from collections.abc import Sequence
 
 import numpy as np
-from pydrake.geometry import Box, Cylinder, Meshcat, Rgba, Sphere
+from pydrake.geometry import Box, Cylinder, Meshcat, Rgba
 from pydrake.math import RigidTransform
 from scipy.ndimage import binary_fill_holes
 
 from sonoservo.systems.display.colours import CROSS_SECTION, FORCE, MODE_COLOURS, rgba
 from sonoservo.systems.display.shape_view import ShapeSight
-from sonoservo.systems.display.shapes import tubes
+from sonoservo.systems.display.shapes import circle, tubes
 from sonoservo.systems.display.textured_quads import encode_webp, gltf_textured_quads
-from sonoservo.systems.display.world.needle_view import NeedleView
+from sonoservo.systems.display.world.needle_view import RING, NeedleView
 from sonoservo.systems.display.world.parts import Film, Rod, set_scene
 from sonoservo.systems.signals.confidence import RADIUS_95
 from sonoservo.systems.signals.cross_section import CrossSection
@@ -37,7 +37,7 @@ class ShapeWorld:
 
     The true needle is grey. The predicted shape has the colour of tracking and reaches from the
     first slice to the full `depth` in m; at each depth, the tube around it contains the needle with
-    a probability of 95 %. A ball marks the newest cross-section, and the probe, of a sweep's
+    a probability of 95 %. A ring marks the newest cross-section, and the probe, of a sweep's
     geometry, is drawn at each slice. The phantom has (3,) extents in m.
     """
 
@@ -64,7 +64,8 @@ class ShapeWorld:
         # Edges only: a browser may hide a translucent object that lies inside another one.
         edges = box_edges(self._size * [-0.5, -0.5, -1], self._size * [0.5, 0.5, 0])
         meshcat.SetObject(f"{path}/tissue", tubes(edges, 0.25e-3), _TISSUE)
-        meshcat.SetObject(f"{path}/cross_section", Sphere(1.2e-3), rgba(CROSS_SECTION))
+        ring = tubes([circle(RING)], 5e-4)
+        meshcat.SetObject(f"{path}/cross_section", ring, rgba(CROSS_SECTION))
         meshcat.SetProperty(f"{path}/cross_section", "visible", False)
         self._draw_probe()
         self._needle: NeedleView | None = None  # until its radius is known
@@ -119,9 +120,10 @@ class ShapeWorld:
             self._tube.show(polyline, time, radii=_ROD + RADIUS_95 * seen.shape.std(middles))
         path = f"{self._path}/cross_section"
         self._meshcat.SetProperty(path, "visible", isinstance(found, CrossSection), time)
-        if isinstance(found, CrossSection):
-            self._meshcat.SetTransform(path, RigidTransform(found.position), time)
         if isinstance(image, ImageSlice):
+            if isinstance(found, CrossSection):
+                X = RigidTransform(image.X_WP.rotation(), found.position)
+                self._meshcat.SetTransform(path, X, time)
             self._meshcat.SetTransform(f"{self._path}/probe", image.X_WP, time)
             self._meshcat.SetProperty(f"{self._path}/probe", "visible", True, time)
             self._draw_slice(image, time)

@@ -11,6 +11,8 @@ from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 
+from sonoservo.systems.display.textured_quads import encode_png, gltf_textured_quads
+from sonoservo.systems.display.world.parts import Film
 from sonoservo.systems.display.world.world_view import WorldView
 from sonoservo.systems.evaluation.reports.report import save_replay
 from sonoservo.systems.signals.guard_status import GuardState, GuardStatus
@@ -18,7 +20,7 @@ from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
-from sonoservo.systems.signals.planes import slice_planes
+from sonoservo.systems.signals.planes import Plane, slice_planes
 
 X_WT = RigidTransform(RollPitchYaw(0, 0, 0.4), [0.4, 0.1, 0.25])
 NEEDLE = Needle([[0.0, 0.0, -0.04], [0.06, 0.0, -0.04]], 6e-4)
@@ -233,6 +235,17 @@ def shown(animation, path):
     (clip,) = (clip for clip in clips if path.encode() + b"\xa4clip" in clip)
     assert clip.count(b".visible") == clip.count(b"\xa4type") == 1
     return [value == b"\xc3" for value in re.findall(b"value([\xc2\xc3])", clip)]
+
+
+def test_pictures_are_held_for_pages_that_are_slow(meshcat):
+    film = Film(meshcat=meshcat, path="film", frames=0, period=1.0)
+    picture = gltf_textured_quads(
+        [Plane(RigidTransform(), 0.1, 0.1)], [encode_png(np.zeros((2, 2), np.uint8))]
+    )
+    for step in range(150):
+        film.show(picture, 0.1 * step)
+    held = [meshcat.HasPath(f"film/recent/{number}") for number in (0, 48, 52)]
+    assert held == [True, True, False]  # 5 s of them, however many a second there are
 
 
 @pytest.mark.parametrize(("frames", "kept"), [(100, 5), (3, 3), (0, 0)])
