@@ -83,6 +83,7 @@ _KEPT, _LEAST_PROMINENCE, _LINES, _JUDGED = 0.8, 3.0, 150, 40
 the most prominent lines that are followed, and that are judged by their looks."""
 
 _LAGS = (1, 4, 12)
+"""Numbers of volumes back to those with which a volume is compared."""
 
 _SHIFT = 3e-3
 """Length in m by which breath moves tissue along Z from volume to volume: more than a cell, so its
@@ -355,7 +356,7 @@ def _remember(volume: Volume, memory: Sequence[Remembered]) -> Remembered:
     last = memory[-1].displacement
     before = memory[-2].displacement if len(memory) > 1 else last
     guesses = [2 * last - before, *(last + _SHIFT * np.outer([0, -1, 1], [0, 0, 1]))]
-    # Before anything is seen, tissue moves by a breath's step from volume to volume.
+    # Whatever no volume tells, tissue moves by a breath's step from one to the next.
     known = np.eye(3) / _SHIFT**2
     weighted = known @ last
     for lag in range(1, len(memory) + 1):
