@@ -510,9 +510,10 @@ def _along(fresh: Lines, number: int, lines: Lines) -> NDArray[np.int64]:
 
 def explain_lines(belief: LineBelief, count: int = 6) -> LinesExplanation | NotFound:
     """Return the most probable needles, and what all remembered volumes show along the first."""
-    if not belief.hypotheses:
+    hypotheses = belief.hypotheses
+    if not hypotheses:
         return NotFound(SearchReason.NO_BRIGHT_LINE(" is followed"))
-    best = belief.hypotheses.best(count)
+    best = hypotheses.best(count)
     line = belief.lines.take(np.flatnonzero(belief.lines.numbers == best.numbers[0]))
     outer, sense = (1, -1) if _backwards(line)[0] else (0, 1)
     shown = [_shown_at(line, each).along.contrasts[0, ::sense] for each in belief.memory]

@@ -44,12 +44,14 @@ def plot_explanation(
         figure.colorbar(
             weights, ax=slices, location="left", shrink=0.5, aspect=40, label="candidate's weight"
         )
-    if len(explained.history):
-        measured = bool(len(explained.profile))
-        (_draw_profile if measured else _draw_classes)(grid[0, 1], explained, needle)
-        _draw_history(grid[1, 1], explained, needle)
+    followed = bool(len(explained.history))
+    if followed and not len(explained.profile):
+        _draw_classes(grid[0, 1], explained)
     else:
         _draw_profile(grid[0, 1], explained, needle)
+    if followed:
+        _draw_history(grid[1, 1], explained, needle)
+    else:
         _draw_gate(grid[1, 1], explained, kept or [explained])
     entries: dict[str, Any] = {}
     for axes in slices:
@@ -216,7 +218,7 @@ def _draw_profile(axes: Axes, explained: ExplainedVolume, needle: Array) -> None
     axes.legend(fontsize=8, ncols=3, loc="upper center")
 
 
-def _draw_classes(axes: Axes, explained: ExplainedVolume, needle: Array) -> None:
+def _draw_classes(axes: Axes, explained: ExplainedVolume) -> None:
     """Draw what each of the most probable lines is by its motion, with its looks."""
     axes.set_title("Lines most like a needle: what they are by their motion", loc="left",
                    fontsize=11)  # fmt: skip
