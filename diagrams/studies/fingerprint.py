@@ -1,5 +1,6 @@
 """Identity of what makes results: a digest of its code and data, and the libraries below it."""
 
+import ast
 import hashlib
 import platform
 from collections.abc import Mapping, Sequence
@@ -29,8 +30,9 @@ _PACKAGES = ("sonoservo", "drake", "numpy", "scipy", "numba", "llvmlite", "filte
 def code_fingerprint(*modules: str) -> str:
     """Return a digest of the code that some modules' imports reach, or of all, and of all data.
 
-    Code that only shows results (`_SHOWING`) does not count. A class imported by its name at run
-    time is not reached, so modules must import the classes of their experiments.
+    Code that only shows results (`_SHOWING`) does not count, nor do docstrings and comments. A
+    class imported by its name at run time is not reached, so modules must import the classes of
+    their experiments.
     """
     digest = hashlib.sha256()
     reached = _reached_modules(modules)
@@ -43,8 +45,21 @@ def code_fingerprint(*modules: str) -> str:
             counts = not _shows(module) and (not code or reached is None or module in reached)
             made = path.suffix == ".md" or path.name in KEPT or "__pycache__" in names
             if path.is_file() and counts and not made:
-                digest.update("/".join(names).encode() + b"\0" + path.read_bytes())
+                content = _without_words(path.read_bytes()) if code else path.read_bytes()
+                digest.update("/".join(names).encode() + b"\0" + content)
     return digest.hexdigest()[:16]
+
+
+def _without_words(source: bytes) -> bytes:
+    """Return the lines of a module that are neither docstrings, nor comments, nor empty."""
+    words: set[int] = set()
+    for node in ast.walk(ast.parse(source)):
+        match node:
+            case ast.Expr(value=ast.Constant(value=str())):
+                words.update(range(node.lineno - 1, node.end_lineno or node.lineno))
+    lines = enumerate(source.splitlines())
+    stripped = (line for number, line in lines if number not in words and line.strip())
+    return b"\n".join(line for line in stripped if not line.lstrip().startswith(b"#"))
 
 
 def _shows(module: str) -> bool:

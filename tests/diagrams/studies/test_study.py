@@ -110,6 +110,10 @@ def test_all_code_counts_but_the_rooms_that_show_and_the_results_themselves(tmp_
         # A module's name alone says nothing: here lies what a success is.
         before = digest_after("diagrams/analysis.py", "a")
         assert digest_after("diagrams/analysis.py", "b") != before
+        plain = digest_after("systems/block.py", "def f():\n    return 1\n")
+        told = 'def f():\n    """Return\n\n    one.\n    """\n    # A reason.\n    return 1\n'
+        assert digest_after("systems/block.py", told) == plain
+        assert digest_after("systems/block.py", told.replace("1", "2")) != plain
     finally:
         code_fingerprint.cache_clear()
 
@@ -123,7 +127,7 @@ def test_code_counts_where_the_results_come_from_it(tmp_path, monkeypatch):
 
     def digest_after(path, *modules):
         with (tmp_path / path).open("a") as file:
-            file.write("\n")
+            file.write("\nadded: 1\n")
         code_fingerprint.cache_clear()
         return code_fingerprint(*modules)
 
