@@ -8,6 +8,7 @@ import re
 import sys
 import traceback
 from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -95,7 +96,7 @@ def compile_command(
     """Compile the kernels of `make run` beforehand; else the first run does, in about a minute."""
     from sonoservo.diagrams.app.compile import compile_kernels
 
-    with waiting("Compiling groups of kernels; the longest takes about a minute ..."):
+    with waiting("Loading the kernels; compiling what is missing takes up to a minute ..."):
         for line in compile_kernels(everything=everything):
             console.print(line)
 
@@ -151,12 +152,14 @@ def run_command(
     if meshcat:
         from sonoservo.diagrams.app.pages.pages import open_pages
 
-        pages = open_pages(console, f"{loaded.name}, seed {loaded.seed}", page)
-    with (
-        waiting(f"Simulating {loaded.duration:g} s ...", shown=False),
-        serving(serve, loaded, say) as observers,
-        Progress(console, loaded) as progress,
-    ):
+        pages = open_pages(f"{loaded.name}, seed {loaded.seed}", page)
+    progress = Progress(console, loaded)
+    with serving(serve, loaded, say) as observers, ExitStack() as shown:
+
+        def begin() -> None:
+            if pages:
+                pages.announce(console, page)
+            shown.enter_context(progress)
 
         def note(experiment: "Experiment[Any]") -> None:
             progress(experiment)
@@ -173,6 +176,7 @@ def run_command(
             record_sweeps=record_sweeps,
             explain=explain,
             observers=observers,
+            begin=begin,
             after_step=note,
             progress=False,
         )
@@ -231,18 +235,22 @@ def drive_command(
         following = replace(following, duration=duration)
     viewed = ViewedRun(log, following)
     folder = results.out or Path("out") / f"{loaded.name}_driven_seed{loaded.seed}"
-    pages = open_pages(console, f"{loaded.name}, driven", page)
-    console.print(DRIVING)
-    with (
-        serving(serve, following, say) as observers,
-        Progress(console, following) as progress,
-    ):
+    pages = open_pages(f"{loaded.name}, driven", page)
+    progress = Progress(console, following)
+    with serving(serve, following, say) as observers, ExitStack() as shown:
+
+        def begin() -> None:
+            pages.announce(console, page)
+            console.print(DRIVING)
+            shown.enter_context(progress)
+
         result = drive(
             following,
             pages.console,
             meshcat=pages.meshcat,
             observers=observers,
             out=folder,
+            begin=begin,
             show=progress.show,
         )
     viewed.end(result.log)

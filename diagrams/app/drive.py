@@ -121,18 +121,22 @@ def drive(
     meshcat: Meshcat | None = None,
     observers: Mapping[str, System] | None = None,
     out: Path | None = None,
+    begin: Callable[[], None] | None = None,
     show: Callable[[float, str], None] | None = None,
 ) -> RunResult:
     """Let an operator drive in real time, for the scenario's duration or until they finish.
 
     The folder gets scenario.yaml, the drive, which `run` repeats; scenario_1.yaml and so on, drives
     that were saved, abandoned by a restart, or made earlier; and the results of the run since its
-    last start, which are returned. `show` is called regularly with the simulated time in s and a
-    status text. ConfigurationError if the scenario cannot be carried out.
+    last start, which are returned. `begin` is called once it is known that the scenario can be
+    carried out, and `show` regularly with the simulated time in s and a status text.
+    ConfigurationError if the scenario cannot be carried out.
     """
     with refusing(scenario):
         experiment = DrivenExperiment(scenario, console, meshcat, observers)
     with claim_folder(out):
+        if begin is not None:
+            begin()
         return _drive(experiment, scenario.duration, console, out, show)
 
 

@@ -5,7 +5,7 @@ A dataclass is both what the parser offers, as a panel of the help, and what the
 
 import inspect
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from copy import copy
 from dataclasses import dataclass, fields, is_dataclass
 from functools import partial, wraps
@@ -28,11 +28,11 @@ console = Console(markup=False, emoji=False)
 
 
 @contextmanager
-def waiting(words: str, shown: bool = True) -> Iterator[None]:
-    """Say what takes a while: a moving line in a terminal if `shown`, and a plain one elsewhere."""
+def waiting(words: str) -> Iterator[None]:
+    """Say what takes a while: a moving line in a terminal, and a plain one elsewhere."""
     if not console.is_terminal:
         console.print(words)
-    with console.status(words) if shown else nullcontext():
+    with console.status(words):
         yield
 
 

@@ -49,6 +49,7 @@ def run(
     record_sweeps: bool = False,
     explain: bool = False,
     observers: Mapping[str, System] | None = None,
+    begin: Callable[[], None] | None = None,
     after_step: Callable[[Experiment[Any]], None] | None = None,
     progress: bool | None = None,
 ) -> RunResult:
@@ -85,6 +86,9 @@ def run(
     observers
         Observing systems; see `FollowingExperiment`. With them, the run is also limited to real
         time.
+    begin
+        Function called before the first step, once it is known that the scenario can be carried
+        out.
     after_step
         Function called after every volume or slice with the experiment, which provides the time and
         the tracker's status.
@@ -152,6 +156,8 @@ def run(
                 experiment.set_speed(pacer.speed)
 
         stack.enter_context(claim_folder(out))
+        if begin is not None:
+            begin()
         with bar or nullcontext(), kept:
             try:
                 experiment.run(note, real_time=shown)

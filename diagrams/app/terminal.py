@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Self
 
 import typer
+from numba.core.event import Event, Listener, register, unregister
 from rich.console import Console
 from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as RichProgress
@@ -14,6 +15,7 @@ from sonoservo.diagrams.app.run_result import RunResult, reasons_text
 from sonoservo.diagrams.experiments.experiment import Experiment
 from sonoservo.diagrams.scenario import Scenario
 from sonoservo.diagrams.studies.study_report import Study, rows_table
+from sonoservo.systems.evaluation.compile_free_clock import COMPILATION
 from sonoservo.systems.evaluation.labels import LABELS, look_up, recording_labels
 from sonoservo.systems.evaluation.source_checks import Finding, Grade, sort_findings
 from sonoservo.systems.evaluation.success import RunOutcome, run_outcome
@@ -66,13 +68,39 @@ class _Bar:
         self._bar.stop()
 
 
-class Progress(_Bar):
-    """Progress bar of a run, with the tracker's status; call it after every step."""
+class Progress(_Bar, Listener):
+    """Progress bar of a run, with the tracker's status; call it after every step.
+
+    It says when kernels are being compiled. A console that shows no bar gets a line each instead.
+    """
 
     def __init__(self, console: Console, scenario: Scenario) -> None:
-        starting = "starting (the first run compiles kernels for half a minute) ..."
-        super().__init__(console, starting, scenario.duration)
-        self._name = scenario.name
+        super().__init__(console, "starting ...", scenario.duration)
+        self._name, self._console, self._compiled = scenario.name, console, False
+        self._seen = console.is_terminal or console.is_jupyter
+
+    def __enter__(self) -> Self:
+        register(COMPILATION, self)
+        if not self._seen:
+            self._console.print(f"Simulating {self._name}, {self._total:g} s ...")
+            return self
+        return super().__enter__()
+
+    def __exit__(self, *error: object) -> None:
+        unregister(COMPILATION, self)
+        if self._seen:
+            super().__exit__(*error)
+
+    def on_start(self, event: Event) -> None:
+        """Say that kernels are being compiled."""
+        words = "compiling kernels, once on this machine ..."
+        self._bar.update(self._task, description=words)
+        if not (self._seen or self._compiled):
+            self._console.print(words.capitalize())
+        self._compiled = True
+
+    def on_end(self, event: Event) -> None:
+        """Leave what was said until the next step."""
 
     def __call__(self, experiment: Experiment[Any]) -> None:
         """Move the bar."""

@@ -1,6 +1,7 @@
 """Registry of the experiments (each a module, its presenter, and a line here) and scenarios."""
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict
 from importlib import import_module
 from importlib.resources import files
@@ -9,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
-from sonoservo.systems.files.refusals import ConfigurationError
+from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
 from sonoservo.systems.files.typed_yaml import (
     apply_changes,
     load_typed,
@@ -152,9 +153,34 @@ def _change(
     data: dict[str, Any], changes: Mapping[str, Any] | Sequence[str] | None, seed: int | None
 ) -> None:
     """Apply changes to a scenario's data, and its seed."""
+    changed: dict[str, Any] = {}
+    apply_changes(changed, changes)
+    _suit_probe(data, data)
     apply_changes(data, changes)
+    _suit_probe(data, changed)
     if seed is not None:
         data["seed"] = to_plain(seed, for_json=False)
+
+
+def _suit_probe(data: dict[str, Any], given: Mapping[str, Any]) -> None:
+    """Set the middle of a given probe's frequencies, unless one is given or what is set fits."""
+    probe, imaging = given.get("probe"), data.get("imaging", {})
+    told = given.get("imaging", {})
+    if not (isinstance(probe, str) and isinstance(imaging, dict) and isinstance(told, dict)):
+        return  # no other probe, or an error that the schema explains
+    if "transmit_frequency" in told:
+        return
+    # Loaded here, so that a list of scenarios needs no renderer.
+    from sonoservo.systems.ultrasound.transducer import load_transducer
+
+    name = str(data.get("name"))
+    with refusing_failures(name):
+        transducer = load_transducer(probe)
+    low, high = transducer.lowest_frequency, transducer.highest_frequency
+    usual = _schema(data, name)().imaging.transmit_frequency  # type: ignore[attr-defined]
+    with suppress(TypeError, ValueError):  # no number, as the schema explains
+        if not low <= float(imaging.get("transmit_frequency", usual)) <= high:
+            data["imaging"] = {**imaging, "transmit_frequency": (low + high) / 2}
 
 
 def _needle_of(data: Mapping[str, Any]) -> tuple[Any, Any]:

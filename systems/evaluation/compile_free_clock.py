@@ -6,7 +6,7 @@ from typing import Self
 
 from numba.core.event import Event, Listener, register, unregister
 
-_COMPILATION = "numba:compile"
+COMPILATION = "numba:compile"
 """Numba's name of the compilation of a kernel; loading a compiled one from its file is none."""
 
 
@@ -24,11 +24,11 @@ class CompileFreeClock(Listener):
         return self._clock() - self.compiled
 
     def __enter__(self) -> Self:
-        register(_COMPILATION, self)
+        register(COMPILATION, self)
         return self
 
     def __exit__(self, *error: object) -> None:
-        unregister(_COMPILATION, self)
+        unregister(COMPILATION, self)
 
     def on_start(self, event: Event) -> None:
         """Note the start of a compilation."""

@@ -61,7 +61,7 @@ def load_typed(schema: type[T], data: Mapping[str, Any], source: str) -> T:
 
 def dump_typed(value: Any) -> str:
     """Return all fields of a dataclass as YAML that `load_typed` reads."""
-    return yaml.safe_dump(_plain(value), sort_keys=False)
+    return yaml.dump(_plain(value), Dumper=Dumper, sort_keys=False)
 
 
 def _plain(value: Any) -> Any:

@@ -1,5 +1,7 @@
 """YAML loader with a budget for the size, the depth and the aliases of a document."""
 
+import math
+from decimal import Decimal
 from typing import Any
 
 import yaml
@@ -21,7 +23,7 @@ class Tagged(dict[str, Any]):
 
 
 class Dumper(yaml.SafeDumper):
-    """YAML dumper that writes the tags of Drake's schemas, such as ``!Rpy``."""
+    """YAML dumper that writes the tags of Drake's schemas, such as ``!Rpy``, and 3.3e+6."""
 
 
 class Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
@@ -77,3 +79,15 @@ Loader.add_multi_constructor("!", _construct_tagged)
 Dumper.add_representer(
     Tagged, lambda dumper, value: dumper.represent_mapping(f"!{value.tag}", value)
 )
+
+
+def _represent_float(dumper: yaml.SafeDumper, value: float) -> yaml.ScalarNode:
+    """Write a large number such as a frequency by its exponent; YAML 1.1 wants point and sign."""
+    if not 1e5 <= abs(value) < math.inf:
+        return dumper.represent_float(value)
+    digits, _, exponent = f"{Decimal(repr(value)).normalize():e}".partition("e")
+    digits = digits if "." in digits else f"{digits}.0"
+    return dumper.represent_scalar("tag:yaml.org,2002:float", f"{digits}e{exponent}")
+
+
+Dumper.add_representer(float, _represent_float)

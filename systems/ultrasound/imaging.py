@@ -112,12 +112,12 @@ def sweep_geometry(transducer: Transducer, imaging: ImagingParameters) -> SweepG
     """
     low, high = transducer.lowest_frequency, transducer.highest_frequency
     frequency = imaging.transmit_frequency
-    require(
-        low <= frequency <= high,
-        "imaging.transmit_frequency",
-        frequency,
-        f"from {low:g} to {high:g} Hz with this transducer",
-    )
+    if not low <= frequency <= high:
+        given, lowest, highest = (f"{1e-6 * each:g}" for each in (frequency, low, high))
+        raise ValueError(
+            f"imaging.transmit_frequency: {given} MHz is not allowed; it must be from {lowest} to "
+            f"{highest} MHz with this transducer, given in Hz, such as {highest}e6"
+        )
     lines = max(round(imaging.sector * transducer.lines), 2)
     samples = math.floor(imaging.depth / imaging.sample_pitch * (1 + 1e-9)) + 1
     frames = imaging.frames

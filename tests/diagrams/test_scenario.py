@@ -194,3 +194,20 @@ def test_a_child_that_was_forked_after_a_run_says_so():
 def test_a_pixel_larger_than_a_slice_is_refused_before_the_run():
     with pytest.raises(ConfigurationError, match="pixel: 0.03 .* at most 0.01568 m"):
         run(load_scenario("carriere2016_d80", changes=["pixel=0.03"]))
+
+
+def test_another_probe_chooses_a_frequency_unless_one_is_given_or_fits(tmp_path):
+    def frequency(scenario, *changes):
+        return load_scenario(scenario, changes=changes).imaging.transmit_frequency
+
+    file = tmp_path / "mine.yaml"
+    file.write_text("{probe: 4dl14_5_38, imaging: {gain: 0.5}}")
+    assert frequency(file) == frequency("clinic", "probe=4dl14_5_38") == 9.5e6
+    assert frequency(file, "probe=trus") == 6.25e6
+    assert frequency("clinic", "probe=matrix") == 3.3e6
+    assert frequency("clinic", "probe=trus", "imaging.transmit_frequency=6e6") == 6e6
+    file.write_text("{probe: trus, imaging: {transmit_frequency: 3.3e6}}")
+    assert frequency(file) == 3.3e6  # a mistake of one's own, which is said
+    assert frequency(load_scenario("carriere2016_d60"), "probe=matrix") == 3.5e6
+    with pytest.raises(ConfigurationError, match="clinic: there is no model 'probes/linear"):
+        frequency("clinic", "probe=linear")

@@ -32,7 +32,8 @@ def replay_command(
     from sonoservo.diagrams.app.pages.pages import open_pages
 
     replay = read_replay(folder)
-    pages = open_pages(console, replay.title, page, kept=folder)
+    pages = open_pages(replay.title, page, kept=folder)
+    pages.announce(console, page)
     if not (folder / "replay.html").is_file():
         console.print("There is no replay.html: run with a page or with --replay for the world.")
     console.print("The slider `time` turns the run back and forth; Ctrl-C ends the replay.")
@@ -94,13 +95,12 @@ def list_command(printed: Printed) -> None:
     from sonoservo.diagrams.experiments.registry import describe_scenarios
 
     scenarios, dials = describe_scenarios(), load_dials()
-    say("Scenarios:")
     for name, description in scenarios.items():
         say(f"sonoservo run {name}\n    {description}")
     say("\nDials that make a scenario harder, here at a moderate strength:")
     for name, dial in dials.items():
-        changes = " ".join(f"--set {shlex.quote(each)}" for each in dial.changes())
-        say(f"{changes}\n    {name}: {dial.line}")
+        changes = " \\\n".join(f"--set {shlex.quote(each)}" for each in dial.changes())
+        say(f"{changes}  # {name}: {dial.words(1.0).partition(',')[0]}")
     write_printed(
         printed.json_path,
         {

@@ -76,7 +76,8 @@ def track_command(
     if show:
         from sonoservo.diagrams.app.pages.pages import open_pages
 
-        pages = open_pages(console, source if live else Path(source).name, page, world=False)
+        pages = open_pages(source if live else Path(source).name, page, world=False)
+        pages.announce(console, page)
     if live:
         reading.refuse_for_streams()
         for option, given in (("--log", log), ("--explain", explain)):

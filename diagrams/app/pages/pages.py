@@ -28,6 +28,10 @@ class Pages:
     console: Console
     meshcat: Meshcat | None = None
 
+    def announce(self, terminal: Terminal, page: Page) -> None:
+        """Print the console's address, and open it for a person at a terminal of this desktop."""
+        announce(terminal, "Watch at", self.console.web_url, page)
+
     def end(self, terminal: Terminal, said: str, report: Path | None = None) -> None:
         """Say in the page that the run has ended, link its report, and serve the files beside it.
 
@@ -46,20 +50,18 @@ class Pages:
 
 
 def open_pages(
-    terminal: Terminal,
     title: str,
     page: Page | None = None,
     *,
     world: bool = True,
     kept: Path | None = None,
 ) -> Pages:
-    """Open the pages of a command on the first free port from 7000 on, and print the address.
+    """Open the pages of a command on the first free port from 7000 on.
 
     Without a ``world``, the console draws a view of the probe; a folder ``kept`` has the
     replay.html that takes the world's place. ConfigurationError if it cannot listen there.
     """
-    page = page or Page()
-    site = open_site(page)
+    site = open_site(page or Page())
     meshcat = open_meshcat(site) if world and kept is None else None
     shown: str | None = "world" if world else ""
     if kept is not None:
@@ -67,7 +69,6 @@ def open_pages(
     console = Console(site, title=title, world=shown)
     if kept is not None:
         _serve_results(site, console, kept / "report.html")
-    announce(terminal, "Watch at", console.web_url, page)
     return Pages(site=site, console=console, meshcat=meshcat)
 
 

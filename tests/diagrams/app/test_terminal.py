@@ -2,11 +2,14 @@ from pathlib import Path
 
 import pytest
 import typer
+from numba.core.event import end_event, start_event
 from rich.console import Console
 
 from sonoservo.diagrams.app.options import with_common_options
 from sonoservo.diagrams.app.run_result import RunResult, summary_table
-from sonoservo.diagrams.app.terminal import end_run
+from sonoservo.diagrams.app.terminal import Progress, end_run
+from sonoservo.diagrams.experiments.registry import load_scenario
+from sonoservo.systems.evaluation.compile_free_clock import COMPILATION
 from sonoservo.systems.evaluation.reports.verdict import following_verdict
 from sonoservo.systems.files.refusals import ConfigurationError
 
@@ -50,3 +53,19 @@ def test_a_name_that_no_file_could_hold_is_refused_before_the_work():
 
     with pytest.raises(ConfigurationError, match=r"out: 'a.udce9b' is not UTF-8"):
         with_common_options(command)(out=Path("a\udce9b"), debug=False, max_memory=None)
+
+
+@pytest.mark.parametrize("kernels", [0, 2])
+def test_compilation_is_spoken_of_once_if_there_is_any(kernels):
+    console = Console(record=True, force_terminal=False)
+    with Progress(console, load_scenario("clinic")):
+        for _ in range(kernels):
+            start_event(COMPILATION)
+            end_event(COMPILATION)
+    said = console.export_text().splitlines()
+    assert (
+        said
+        == ["Simulating clinic, 32 s ...", "Compiling kernels, once on this machine ..."][
+            : 1 + min(kernels, 1)
+        ]
+    )

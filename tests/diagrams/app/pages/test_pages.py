@@ -39,7 +39,8 @@ def opened():
     kept = []
 
     def open_them(console, **options):
-        kept.append(open_pages(console, "a test", **options))
+        kept.append(open_pages("a test", **options))
+        kept[-1].announce(console, options.get("page") or Page())
         return kept[-1]
 
     yield open_them
@@ -112,7 +113,7 @@ def test_the_page_opens_by_itself_where_there_is_a_desktop(monkeypatch, opened, 
 @pytest.mark.parametrize("host", ["198.51.100.7", "no such host"])
 def test_an_address_of_another_machine_is_refused(host):
     with pytest.raises(ConfigurationError, match="host: .* address of this machine"):
-        open_pages(Console(quiet=True), "a test", Page(host=host))
+        open_pages("a test", Page(host=host))
 
 
 def test_a_wrong_host_ends_the_command_before_anything_is_written(tmp_path):
