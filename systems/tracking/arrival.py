@@ -67,11 +67,24 @@ def advances(seconds: float) -> Floats:
     return _advances(max(round(1e3 * seconds), 1))
 
 
+def renewed_shares(ratios: Floats, repeats: Floats, renewed: float) -> Floats:
+    """Return (n, 1) shares of each line's bins that are drawn anew; arguments of `add_volume`.
+
+    Where one bin of a line is drawn anew, more are: all turn to the sound, come out of a shadow or
+    slide off the line together. What all lines show tells as much about one as a bin of its own.
+    """
+    both = ~np.isnan(ratios) & ~np.isnan(repeats)
+    anew = renewed * 0.5 * (1 + np.exp(ratios))
+    changed = np.where(both, anew / (anew + (1 - renewed) * repeats), 0.0)
+    total, count = changed.sum(axis=1, keepdims=True), both.sum(axis=1, keepdims=True)
+    return np.asarray((renewed + total) / (1 + count))
+
+
 def add_volume(
     logs: Floats,
     ratios: Floats,
     repeats: Floats,
-    renewed: float,
+    renewed: Floats | float,
     prior: float,
 ) -> None:
     """Add a volume to what is known of when each bin of each line arrived.
@@ -92,7 +105,7 @@ def add_volume(
         (n, b) densities of a repetition of the last volume's contrast, relative to nothing's; NaN
         where that was not seen.
     renewed
-        Probability that a bin is drawn anew since the last volume.
+        Probability that a bin is drawn anew since the last volume, or (n, 1) by line.
     prior
         Probability that a bin that is there shows itself.
     """

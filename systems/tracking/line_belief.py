@@ -22,7 +22,7 @@ from sonoservo.systems.signals.line_hypotheses import (
 )
 from sonoservo.systems.signals.search_reason import SearchReason
 from sonoservo.systems.signals.volume import Volume, acquired_from
-from sonoservo.systems.tracking.arrival import add_volume, advances, class_logs
+from sonoservo.systems.tracking.arrival import add_volume, advances, class_logs, renewed_shares
 from sonoservo.systems.tracking.cells import Cells, cells_of, tissue_shift
 from sonoservo.systems.tracking.line_contrast import (
     ALL_NEW,
@@ -86,8 +86,8 @@ _LAGS = (1, 4, 12)
 """Numbers of volumes back to those with which a volume is compared."""
 
 _SHIFT = 3e-3
-"""Length in m by which breath moves tissue along Z from volume to volume: more than a cell, so its
-displacement is searched from there, too."""
+"""Length in m by which breath moves tissue from volume to volume, and from where it rests: more
+than a cell, so its displacement is searched from there, too."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -356,9 +356,9 @@ def _remember(volume: Volume, memory: Sequence[Remembered]) -> Remembered:
     last = memory[-1].displacement
     before = memory[-2].displacement if len(memory) > 1 else last
     guesses = [2 * last - before, *(last + _SHIFT * np.outer([0, -1, 1], [0, 0, 1]))]
-    # Whatever no volume tells, tissue moves by a breath's step from one to the next.
-    known = np.eye(3) / _SHIFT**2
-    weighted = known @ last
+    # Whatever no volume tells, tissue lies near where it lay, and near where it rests.
+    known = 2 * np.eye(3) / _SHIFT**2
+    weighted = known @ (0.5 * last)
     for lag in range(1, len(memory) + 1):
         if lag in _LAGS:
             each = memory[-lag]
@@ -406,13 +406,9 @@ def _add(lines: Lines, shown: _Shown, each: Remembered, begun: int) -> None:
         (lines.logs[:, :begun], lines.levels, lit, each.change),
         (lines.image_logs, lines.image_levels, shown.riding, each.image_change),
     ):
-        add_volume(
-            logs,
-            log_ratio(now.contrasts),
-            repeat_ratio(now, before, change),
-            change.renewed,
-            _SHOWS,
-        )
+        ratios, repeats = log_ratio(now.contrasts), repeat_ratio(now, before, change)
+        shares = renewed_shares(ratios, repeats, change.renewed)
+        add_volume(logs, ratios, repeats, shares, _SHOWS)
         before[:] = now.levels
     lines.contrasts[:] = lit.contrasts
 

@@ -7,7 +7,12 @@ import pytest
 from scipy.special import logsumexp
 
 from sonoservo.systems.tracking import arrival
-from sonoservo.systems.tracking.arrival import add_volume, advances, class_logs
+from sonoservo.systems.tracking.arrival import (
+    add_volume,
+    advances,
+    class_logs,
+    renewed_shares,
+)
 from sonoservo.systems.tracking.line_contrast import Change, LineLevels, log_ratio, repeat_ratio
 
 SHOWS, RENEWED, PRIOR = 0.7, 0.03, 0.002
@@ -143,6 +148,15 @@ def test_a_bin_repeats_itself_or_is_drawn_anew():
     np.testing.assert_array_equal(logs, before)
 
 
+def test_each_line_has_its_own_share_of_bins_that_are_drawn_anew():
+    ratios, repeats = np.zeros((3, 20)), np.full((3, 20), 1e3)
+    repeats[0, :5] = 1e-6  # these are nothing like what was there before
+    repeats[1], repeats[2] = 1e-6, np.nan  # a whole line comes out of a shadow, or into view
+    shares = renewed_shares(ratios, repeats, RENEWED)[:, 0]
+    expected = [(5 + RENEWED) / 21, (20 + RENEWED) / 21, RENEWED]
+    np.testing.assert_allclose(shares, expected, atol=1e-3)
+
+
 def test_a_tip_advances_by_what_its_speed_says():
     for seconds in (0.1, 0.3):
         rows = advances(seconds)
@@ -165,8 +179,8 @@ def kymograph(kind, times=16, bins=40):
             there[0, t, 8:26] = True
         elif kind == "uncovered":  # as the probe moves along
             there[0, t, 4 : 4 + 2 * t] = True
-        elif kind == "riding":  # it passes along the line in the tissue, and rests in the image
-            there[0, t, 8 if t > 3 else 26 : 26] = t % 4 == 0
+        elif kind == "riding":  # it sweeps over the line in the tissue, and rests in the image
+            there[0, t, 8:26] = t == times - 1
             there[1, t, 8:26] = True
         elif kind == "appeared":
             there[0, t, 8:26] = t > 5
@@ -189,7 +203,8 @@ def test_a_kymograph_shows_what_a_line_is(kind):
             (logs[:, : t + 1], image_logs), (here[[t]], riding[[t]]), before, strict=True
         ):
             repeats = repeat_ratio(LineLevels(shown, shown), last, Change(renewed, 1.5))
-            add_volume(rows, log_ratio(shown), repeats, renewed, SHOWS)
+            shares = renewed_shares(log_ratio(shown), repeats, renewed)
+            add_volume(rows, log_ratio(shown), repeats, shares, SHOWS)
             last[:] = shown
     appearing = np.log(np.full(times, PRIOR))
     appearing[0] = -50.0
