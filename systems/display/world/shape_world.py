@@ -85,7 +85,7 @@ class ShapeWorld:
         """Place the camera so that the whole box is in view, from the side of the needle."""
         middle = self._size * [0.0, 0.0, -0.5]
         # Room for the box's diagonal, and for a window that is higher than it is wide.
-        reach = 0.68 * np.linalg.norm(self._size) / np.tan(np.deg2rad(_FIELD_OF_VIEW_DEG / 2))
+        reach = 0.8 * np.linalg.norm(self._size) / np.tan(np.deg2rad(_FIELD_OF_VIEW_DEG / 2))
         sight = np.array([0.80, -0.62, 0.45])
         camera = middle + reach * sight / np.linalg.norm(sight)
         set_scene(self._meshcat, camera.tolist(), middle.tolist(), _FIELD_OF_VIEW_DEG)

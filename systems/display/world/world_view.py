@@ -52,8 +52,8 @@ _FILM_PERIOD = 0.2
 # Length of the whole needle in m; the part that is not in the tissue is drawn outside it.
 _NEEDLE_LENGTH = 0.15
 # Initial places of the camera and of the middle of its view, in W, in m, and the view's height in
-# deg: probe and phantom fill the frame, and the needle is seen.
-_CAMERA, _CAMERA_TARGET, _FIELD_OF_VIEW_DEG = (0.86, -0.54, 0.40), (0.46, -0.02, 0.22), 42.0
+# deg: the arm, the needle and the phantom fill the frame.
+_CAMERA, _CAMERA_TARGET, _FIELD_OF_VIEW_DEG = (0.98, -0.85, 0.70), (0.33, 0.0, 0.41), 46.0
 
 
 class WorldView(LeafSystem):
@@ -130,7 +130,7 @@ class WorldView(LeafSystem):
         meshcat.SetTransform(f"{path}/phase/reason", RigidTransform([0.0, 0.04, 0.0]))
         # Low in the view and before all it shows, where a narrow page has room for it, too.
         away = 0.8 * float(np.linalg.norm(np.subtract(_CAMERA_TARGET, _CAMERA)))
-        low = 0.65 * away * np.tan(0.5 * np.deg2rad(_FIELD_OF_VIEW_DEG))
+        low = 0.8 * away * np.tan(0.5 * np.deg2rad(_FIELD_OF_VIEW_DEG))
         p_WPhase = _CAMERA + R @ [0.0, low, away]
         meshcat.SetTransform(f"{path}/phase", RigidTransform(R, p_WPhase))
         # The live page has it beside the view.
