@@ -1,6 +1,7 @@
 """README and documentation: what they name is there, and what they tell people to type is right."""
 
 import re
+import runpy
 import shlex
 from pathlib import Path
 
@@ -51,6 +52,12 @@ def test_links_lead_somewhere(path):
     for target in re.findall(r"\]\(([^)#]+)[^)]*\)", text) + re.findall(r"include} (\S+)", text):
         if "://" not in target and not target.startswith(("python/", "tutorials/")):
             assert (path.parent / target).exists(), target
+
+
+def test_every_room_has_its_page_in_the_reference():
+    rooms = runpy.run_path(str(DOCS / "reference.py"))["ROOMS"]
+    pages = re.findall(r"^python/(\w+)$", (DOCS / "python.md").read_text(encoding="utf-8"), re.M)
+    assert pages == [room.split(".")[-1] for room in rooms]
 
 
 def test_formulas_are_of_the_kind_that_needs_no_script_to_be_drawn():
