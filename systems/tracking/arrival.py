@@ -49,14 +49,18 @@ def _hand(modes: int) -> tuple[Floats, Floats]:
     return first, change
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def _passed(mean: float) -> Any:  # pragma: no cover - compiled
+    """Return (`_MOST`,) probabilities of numbers of bins passed, by a mean known to a third."""
+    row = np.zeros(_MOST)
+    for d in range(_MOST):
+        row[d] = math.exp(-0.5 * ((d - mean) / (0.35 * mean + 0.35)) ** 2)
+    return row / row.sum()
+
+
 @lru_cache(maxsize=64)
 def _advances(milliseconds: int) -> Floats:
-    rows = []
-    for speed in SPEEDS:
-        mean = speed * 1e-3 * milliseconds / BIN
-        row = [math.exp(-0.5 * ((b - mean) / (0.35 * mean + 0.35)) ** 2) for b in range(_MOST)]
-        rows.append(np.array(row) / sum(row))
-    return np.array(rows)
+    return np.array([_passed(speed * 1e-3 * milliseconds / BIN) for speed in SPEEDS])
 
 
 def advances(seconds: float) -> Floats:
@@ -209,8 +213,7 @@ def _class_logs(  # pragma: no cover - compiled
     result = np.full((count, 5), -1e3)
     factors, turned = np.zeros((times, bins)), np.zeros((times, bins))
     first, anywhere = np.zeros(bins + 1), np.full(bins + 1, 1 / (bins + 1))
-    most = moves.shape[2]
-    shift, sure = np.zeros((times, 1, most)), np.ones((1, 1))
+    shift, sure = np.zeros((times, 1, _MOST)), np.ones((1, 1))
     for n in range(count):
         bound = 0.0
         for b in range(bins):
@@ -247,13 +250,8 @@ def _class_logs(  # pragma: no cover - compiled
             first[seen] += _ENTERING
             sides = (before, back[::-1]) if way == 0 else (back, before[::-1])
             result[n, way] = _advancing(one, *sides, first, moves, start, change)
-            shift[:] = 0
-            place = 0.0
             for t in range(times):
-                u = max(passing[n, t] if way == 0 else -passing[n, t], 0.0)
-                step = int(place + u + 0.5) - int(place + 0.5)
-                shift[t, 0, min(step, most - 1)] = 1
-                place += u
+                shift[t, 0] = _passed(max(passing[n, t] if way == 0 else -passing[n, t], 0.0))
             uncovered = _advancing(one, *sides, anywhere, shift, sure[0], sure) - math.log(2)
             a, c = max(result[n, 2], uncovered), min(result[n, 2], uncovered)
             result[n, 2] = a + math.log1p(math.exp(c - a))
@@ -267,8 +265,8 @@ def class_logs(
     """Return (n, 5) log evidence of each line: needle either way, resting, riding, appeared.
 
     What of a smooth line at rest is seen depends on the angle at which sound meets it. So the end
-    of what is seen rests with the line, or it keeps its place in the image while the probe moves
-    along: as probable a priori, in either sense.
+    of what is seen rests with the line, or it goes along about as far as a place in the image does
+    while the probe moves: as probable a priori, in either sense.
 
     Parameters
     ----------

@@ -5,6 +5,7 @@ from itertools import pairwise, product
 import numpy as np
 import pytest
 from scipy.special import logsumexp
+from scipy.stats import norm
 
 from sonoservo.systems.tracking import arrival
 from sonoservo.systems.tracking.arrival import (
@@ -75,10 +76,11 @@ def advancing(factors, moves, seen=None):
     return logsumexp(logs)
 
 
-def shifts(passing, most=3):
-    """(t, d) probabilities that the end of what is seen passes d bins, if it stays in the image."""
-    places = np.floor(np.cumsum(np.maximum(passing, 0.0)) + 0.5).astype(int)
-    return np.eye(most)[np.diff(places, prepend=0)]
+def shifts(passing):
+    """(t, d) probabilities that the end of what is seen passes d bins, as far as the image does."""
+    means = np.maximum(passing, 0.0)[:, np.newaxis]
+    rows = norm.pdf(np.arange(arrival._MOST), means, 0.35 * means + 0.35)
+    return rows / rows.sum(axis=1, keepdims=True)
 
 
 def test_classes_are_the_sums_over_all_histories(monkeypatch):
