@@ -42,9 +42,9 @@ AGAIN = 46
 
 
 def depth(time):
-    """Pushed in to 25 mm, and out again from 9 s on; then once more."""
+    """Pushed in to 35 mm, and out again from 9 s on; then once more."""
     time %= AGAIN * PERIOD
-    return max(0.0, min(SPEED * (time - START), 0.025, 0.025 - 8e-3 * (time - 9.0)))
+    return max(0.0, min(SPEED * (time - START), 0.035, 0.035 - 8e-3 * (time - 9.0)))
 
 
 def needle(time):
@@ -94,7 +94,7 @@ def test_follows_the_tip_and_the_axis(estimates):
     # The synthetic needle ends as an edge, which the defaults, made for a real tip, see 1 mm early.
     assert np.median(errors) < 2e-3
     assert np.median(angles) < 1.5
-    speeds = [e.tip_velocity @ K for e in inserted if 6.3 < e.time < 7]
+    speeds = [e.tip_velocity @ K for e in inserted if 8 < e.time < 9]
     assert np.median(speeds) == pytest.approx(SPEED, abs=2e-3)
 
 
@@ -114,7 +114,7 @@ def test_simulation_gives_the_same_as_plain_python(volumes, estimates):
     port.FixValue(context, Value[object](NotFound("no sweep")))
     simulator.AdvanceTo(0.2)
     assert tracker.GetOutputPort("estimate").Eval(context).volume_time == -np.inf
-    for k, volume in enumerate(volumes[:16]):
+    for k, volume in enumerate(volumes[:24]):
         port.FixValue(context, Value[object](volume))
         simulator.AdvanceTo(0.2 + PERIOD * (k + 1))
         simulator.AdvancePendingEvents()
@@ -125,7 +125,7 @@ def test_simulation_gives_the_same_as_plain_python(volumes, estimates):
                 estimate.curve.control_points, estimates[k].curve.control_points
             )
     measurement = tracker.GetOutputPort("measurement").Eval(context)
-    assert measurement.time == pytest.approx(volumes[15].time, abs=0.5 * PERIOD)
+    assert measurement.time == pytest.approx(volumes[23].time, abs=0.5 * PERIOD)
     assert not tracker.GetOutputPort("detection").Eval(context)
 
 
@@ -157,7 +157,7 @@ def test_zhao_s_tracker_has_the_same_face(volumes, zhao):
     angles = [np.degrees(np.arccos(min(e.curve.direction @ K, 1))) for e in inserted]
     assert np.median(errors) < 2e-3
     assert np.median(angles) < 1.5
-    speeds = [e.tip_velocity @ K for e in inserted if 6.3 < e.time < 7]
+    speeds = [e.tip_velocity @ K for e in inserted if 8 < e.time < 9]
     assert np.median(speeds) == pytest.approx(SPEED, abs=2e-3)
     assert zhao[-1].mode == TrackingMode.SEARCHING
 
