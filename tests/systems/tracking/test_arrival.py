@@ -8,12 +8,7 @@ from scipy.special import logsumexp
 from scipy.stats import norm
 
 from sonoservo.systems.tracking import arrival
-from sonoservo.systems.tracking.arrival import (
-    add_volume,
-    advances,
-    class_logs,
-    renewed_shares,
-)
+from sonoservo.systems.tracking.arrival import add_volume, advances, class_logs, renewed_shares
 from sonoservo.systems.tracking.line_contrast import Change, LineLevels, log_ratio, repeat_ratio
 
 SHOWS, RENEWED, PRIOR = 0.7, 0.03, 0.002
