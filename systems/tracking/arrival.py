@@ -88,7 +88,7 @@ def add_volume(
     logs: Floats,
     ratios: Floats,
     repeats: Floats,
-    renewed: Floats | float,
+    renewed: Floats,
     prior: float,
 ) -> None:
     """Add a volume to what is known of when each bin of each line arrived.
@@ -109,7 +109,7 @@ def add_volume(
         (n, b) densities of a repetition of the last volume's contrast, relative to nothing's; NaN
         where that was not seen.
     renewed
-        Probability that a bin is drawn anew since the last volume, or (n, 1) by line.
+        (n, 1) or (1, 1) probabilities that a line's bin is drawn anew since the last volume.
     prior
         Probability that a bin that is there shows itself.
     """

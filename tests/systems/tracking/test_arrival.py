@@ -116,7 +116,7 @@ def test_a_bin_repeats_itself_or_is_drawn_anew():
     logs = np.zeros((1, 6, 1))
     for t in range(6):
         here = np.array([[ratios[t]]]), np.array([[repeats[t]]])
-        add_volume(logs[:, : t + 1], *here, RENEWED, SHOWS)
+        add_volume(logs[:, : t + 1], *here, np.array([[RENEWED]]), SHOWS)
 
     def likelihood(arrived):
         """Sum over all histories: anew or the same, shown or hidden whenever drawn."""
@@ -141,7 +141,7 @@ def test_a_bin_repeats_itself_or_is_drawn_anew():
         expected = np.log(likelihood(arrived) / likelihood(6))
         assert logs[0, arrived, 0] == pytest.approx(expected)
     before = logs.copy()
-    add_volume(logs, np.array([[np.nan]]), np.array([[1.0]]), RENEWED, SHOWS)  # not seen
+    add_volume(logs, np.array([[np.nan]]), np.array([[1.0]]), np.array([[RENEWED]]), SHOWS)
     np.testing.assert_array_equal(logs, before)
 
 
