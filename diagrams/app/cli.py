@@ -154,9 +154,10 @@ def run_command(
 
         pages = open_pages(f"{loaded.name}, seed {loaded.seed}", page)
     progress = Progress(console, loaded)
-    with serving(serve, loaded, say) as observers, ExitStack() as shown:
+    with serving(serve, loaded, say) as (observers, await_peers), ExitStack() as shown:
 
         def begin() -> None:
+            await_peers()
             if pages:
                 pages.announce(console, page)
             shown.enter_context(progress)
@@ -237,9 +238,10 @@ def drive_command(
     folder = results.out or Path("out") / f"{loaded.name}_driven_seed{loaded.seed}"
     pages = open_pages(f"{loaded.name}, driven", page)
     progress = Progress(console, following)
-    with serving(serve, following, say) as observers, ExitStack() as shown:
+    with serving(serve, following, say) as (observers, await_peers), ExitStack() as shown:
 
         def begin() -> None:
+            await_peers()
             pages.announce(console, page)
             console.print(DRIVING)
             shown.enter_context(progress)

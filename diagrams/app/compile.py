@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from multiprocessing import get_context
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -21,7 +22,7 @@ _ADVANCE = 3  # Advance of the needle from one synthetic volume to the next, in 
 
 
 def compile_scanner() -> None:
-    """Compile rendering and scan conversion: simulate two sweeps of a moving probe and needle."""
+    """Compile rendering, scan conversion and pictures: simulate two sweeps and keep the results."""
     changes = [
         "duration=1.3",
         "hand.start=0",
@@ -83,7 +84,8 @@ def _run(scenario: str, changes: list[str]) -> None:
     from sonoservo.diagrams.app.run import run
     from sonoservo.diagrams.experiments.registry import load_scenario
 
-    run(load_scenario(scenario, changes=changes))
+    with TemporaryDirectory() as folder:  # with results, there are pictures
+        run(load_scenario(scenario, changes=changes), out=folder)
 
 
 def _volumes() -> Iterator["Volume"]:

@@ -30,6 +30,8 @@ from sonoservo.diagrams.app.options import (
 from sonoservo.systems.files.refusals import ConfigurationError
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from sonoservo.diagrams.app.pages.pages import Pages
     from sonoservo.diagrams.app.volumes.opening import Opened
     from sonoservo.diagrams.trackers.tracker_parts import TrackerParameters
@@ -72,12 +74,17 @@ def track_command(
         beam_width=tracker.beam_width,
         echo_offset=tracker.echo_offset,
     )
-    pages = None
-    if show:
+
+    def open_page(title: str) -> "Pages | None":
+        """Open the page if it is wanted, once it is known that there is something to show."""
+        if not show:
+            return None
         from sonoservo.diagrams.app.pages.pages import open_pages
 
-        pages = open_pages(source if live else Path(source).name, page, world=False)
+        pages = open_pages(title, page, world=False)
         pages.announce(console, page)
+        return pages
+
     if live:
         reading.refuse_for_streams()
         for option, given in (("--log", log), ("--explain", explain)):
@@ -86,9 +93,9 @@ def track_command(
                     f"{option}: not possible with live volumes; record them (sonoservo bridge), "
                     f"and track the recording with {option}"
                 )
-        _track_stream(source, tracker, parameters, reading, sending, limits, results, pages)
+        _track_stream(source, tracker, parameters, reading, sending, limits, results, open_page)
     else:
-        _track_file(Path(source), tracker, parameters, reading, results, pages, explain=explain,
+        _track_file(Path(source), tracker, parameters, reading, results, open_page, explain=explain,
                     real_time=real_time, log=log)  # fmt: skip
 
 
@@ -100,7 +107,7 @@ def _track_stream(
     sending: Sending,
     limits: LiveLimits,
     results: Results,
-    pages: "Pages | None",
+    open_page: "Callable[[str], Pages | None]",
 ) -> None:
     from sonoservo.diagrams.app.live.serve import needle_names, opened
     from sonoservo.diagrams.app.live.track_live import track_live
@@ -119,6 +126,7 @@ def _track_stream(
         for each in sending.serve or []:
             own = str(parse_address(each)) == str(place)
             outlets.append(live.link if own else stack.enter_context(opened(each, say)))
+        pages = open_page(address)
         summary = track_live(
             live,
             parameters=parameters,
@@ -147,7 +155,7 @@ def _track_file(
     parameters: "TrackerParameters",
     reading: ReadingFrames,
     results: Results,
-    pages: "Pages | None",
+    open_page: "Callable[[str], Pages | None]",
     *,
     explain: bool,
     real_time: bool,
@@ -167,6 +175,7 @@ def _track_file(
     _say_about(recording)
     folder = results.out or Path("out") / f"{path.name.partition('.')[0]}_track"
     viewed = ViewedRun(log)
+    pages = open_page(path.name)
     with VolumeProgress(console, path.name, len(recording)) as progress:
 
         def after_volume(number: int, estimate: "NeedleEstimate") -> None:
@@ -215,7 +224,7 @@ def bridge_command(
 ) -> None:
     """Record a live connection, or play a recording as a scanner would."""
     from sonoservo.diagrams.app.live.bridge import QUEUE, play_live, record_live
-    from sonoservo.diagrams.app.live.serve import opened
+    from sonoservo.diagrams.app.live.serve import await_peers, opened
     from sonoservo.diagrams.app.volumes.check import brief_stream_finding
     from sonoservo.diagrams.app.volumes.opening import live_source, open_volumes
     from sonoservo.systems.live.connection.address import is_address, parse_address
@@ -228,7 +237,8 @@ def bridge_command(
         if is_address(target):
             recording = open_volumes(Path(source), reading)
             _say_about(recording)
-            with opened(target, say, wait_for=wait_for) as link:
+            with opened(target, say) as link:
+                await_peers(link, wait_for)
                 summary = play_live(recording, link, speed=speed)
             say(f"{summary['volumes']} volumes sent")
         else:

@@ -54,28 +54,35 @@ def live_senders(link: Link, scenario: Scenario) -> dict[str, System]:
 
 
 @contextmanager
-def opened(address: str, say: Callable[[str], None], *, wait_for: int = 0) -> Iterator[Link]:
-    """Open a connection and wait for so many peers; on exit, queued messages get 1 s to be sent."""
+def opened(address: str, say: Callable[[str], None]) -> Iterator[Link]:
+    """Open a connection and say where; on exit, queued messages get 1 s to be sent."""
     with Link(parse_address(address), report=say) as link:
         if link.address.listens:
             host, _ = link.address.bound
             say(f"Sending to all peers that connect to igtl://{host}:{link.port}")
-        while link.peers < wait_for:
-            time.sleep(_POLL)
         yield link
         link.flush(1.0)
+
+
+def await_peers(link: Link, count: int) -> None:
+    """Wait until so many peers have connected."""
+    while link.peers < count:
+        time.sleep(_POLL)
 
 
 @contextmanager
 def serving(
     serve: Serving, scenario: Scenario, say: Callable[[str], None]
-) -> Iterator[Mapping[str, System] | None]:
-    """Yield the systems that send a scenario live while it runs; None without an address."""
+) -> Iterator[tuple[Mapping[str, System] | None, Callable[[], None]]]:
+    """Yield the systems that send a scenario live, and what waits for their peers before it runs.
+
+    Without an address there are no systems, and nothing is waited for.
+    """
     if serve.serve is None:
-        yield None
+        yield None, lambda: None
         return
-    with opened(serve.serve, say, wait_for=serve.wait_for) as link:
-        yield live_senders(link, scenario)
+    with opened(serve.serve, say) as link:
+        yield live_senders(link, scenario), lambda: await_peers(link, serve.wait_for)
 
 
 def needle_names(changes: Sequence[str], *, points: bool = False) -> NeedleNames:

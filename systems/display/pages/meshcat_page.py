@@ -4,13 +4,16 @@ import asyncio
 import base64
 import logging
 import secrets
+import socket
 from collections.abc import Callable
 from contextlib import suppress
 from mimetypes import guess_type
+from typing import Any
 
 from pydrake.geometry import Meshcat, MeshcatParams
 from tornado.httpclient import AsyncHTTPClient
 from tornado.iostream import IOStream, StreamClosedError
+from tornado.netutil import Resolver
 from tornado.tcpclient import TCPClient
 from tornado.websocket import WebSocketHandler
 
@@ -82,6 +85,15 @@ def _random_loop_address() -> str:
     return ".".join(map(str, [127, *last]))
 
 
+class _Numbers(Resolver):
+    """Takes addresses in numbers as they are, without the threads that a program's end forbids."""
+
+    async def resolve(
+        self, host: str, port: int, family: int = socket.AF_UNSPEC
+    ) -> list[tuple[int, Any]]:
+        return [(socket.AF_INET, (host, port))]
+
+
 class MeshcatPage(Guarded, WebSocketHandler):
     """Passes requests of one page on to Meshcat's server, and the server's messages to the page.
 
@@ -112,7 +124,7 @@ class MeshcatPage(Guarded, WebSocketHandler):
             await super().get(path)
             return
         host, port = self._server
-        answer = await AsyncHTTPClient().fetch(
+        answer = await AsyncHTTPClient(resolver=_Numbers()).fetch(
             f"http://{host}:{port}/{path}", raise_error=False, request_timeout=60
         )
         self.set_status(answer.code, answer.reason)
@@ -127,7 +139,7 @@ class MeshcatPage(Guarded, WebSocketHandler):
         """Open a WebSocket to Meshcat's server."""
         page: IOStream = self.ws_connection.stream
         try:
-            self._upstream = await TCPClient().connect(*self._server)
+            self._upstream = await TCPClient(_Numbers()).connect(*self._server)
             key = base64.b64encode(secrets.token_bytes(16)).decode()
             await self._upstream.write(
                 "GET / HTTP/1.1\r\nHost: meshcat\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"

@@ -288,12 +288,28 @@ def test_names_of_devices_can_be_set():
             ["run", "carriere2016_d60", "--no-meshcat", "--serve", "igtl://:0"],
             "one of 'following' is needed here",
         ),
+        (["track", "nowhere.seq.nrrd", "--show"], "nowhere.seq.nrrd"),
+        (
+            [
+                "run",
+                "chatelain2013_fig5",
+                "--serve",
+                "igtl://:0",
+                "--wait-for",
+                "1",
+                "--record",
+                "volumes.txt",
+            ],
+            "volumes.txt",
+        ),
     ],
 )
 def test_mistakes_are_one_line(arguments, message, capsys):
     assert run_arguments(arguments) == 2
-    (line,) = capsys.readouterr().err.splitlines()
+    printed = capsys.readouterr()
+    (line,) = printed.err.splitlines()
     assert message in line
+    assert "http://" not in printed.out  # no page is announced that shows nothing
 
 
 @pytest.mark.slow

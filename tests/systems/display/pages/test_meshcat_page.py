@@ -1,5 +1,6 @@
 """Meshcat behind a site: what gets through, and what a page that misbehaves costs."""
 
+import asyncio
 import os
 import re
 import socket
@@ -70,6 +71,19 @@ def test_the_page_is_drakes_and_finds_its_files(meshcat):
     script = urlopen(url.partition("?")[0] + source)
     assert "javascript" in script.headers["Content-Type"]
     assert len(script.read()) > 1e6
+
+
+def test_it_is_served_to_the_end_of_the_program(meshcat, monkeypatch):
+    """When Python ends, its threads are gone before the site is closed."""
+
+    def refused(*_):
+        raise RuntimeError("cannot schedule new futures after shutdown")
+
+    monkeypatch.setattr(asyncio.base_events.BaseEventLoop, "run_in_executor", refused)
+    assert "Drake MeshCat" in urlopen(meshcat.web_url()).read().decode()
+    with connection(meshcat):
+        wait_for(lambda: meshcat.GetNumActiveConnections() == 1)
+    wait_for(lambda: meshcat.GetNumActiveConnections() == 0)
 
 
 def test_drakes_own_server_is_hidden(meshcat):
