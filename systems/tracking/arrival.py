@@ -16,6 +16,10 @@ Floats = NDArray[np.float64]
 SPEEDS = (0.0, 3e-3, 8e-3, 16e-3, 30e-3)
 """Speeds at which a hand pushes a needle, in m/s; see `advances`."""
 
+GLINTS = (0.0, 1.0, 3.0)
+"""Speeds at which what is seen of a smooth line slides along it, relative to the probe's: where the
+probe turns, and on a hollow surface, it runs ahead."""
+
 _MOST = 12
 """Number of bins that a tip may pass between two volumes."""
 
@@ -25,6 +29,9 @@ _KEEPS = 0.8
 _SHARE = 0.5
 """Share of a bin's evidence that its neighbours do not give as well: a line's echo and the speckle
 beside it are longer than a bin."""
+
+_CHANGES_ON = 0.25
+"""Probability that a bin is drawn anew if the one before it is: what changes is longer than one."""
 
 _BEGIN, _END = 0.02, 0.04
 """Probabilities that something bright begins and ends from one bin to the next: structures are some
@@ -71,17 +78,25 @@ def advances(seconds: float) -> Floats:
     return _advances(max(round(1e3 * seconds), 1))
 
 
-def renewed_shares(ratios: Floats, repeats: Floats, renewed: float) -> Floats:
-    """Return (n, 1) shares of each line's bins that are drawn anew; arguments of `add_volume`.
+@njit(cache=True, nogil=True, error_model="numpy")
+def renewed_shares(ratios: Any, repeats: Any, renewed: float) -> Any:  # pragma: no cover - compiled
+    """Return (n, b) probabilities that bins are drawn anew, before it is known what they show.
 
-    Where one bin of a line is drawn anew, more are: all turn to the sound, come out of a shadow or
-    slide off the line together. What all lines show tells as much about one as a bin of its own.
+    A bin is more likely to be drawn anew if the one before it along the line was. Arguments as of
+    `add_volume`.
     """
-    both = ~np.isnan(ratios) & ~np.isnan(repeats)
-    anew = renewed * 0.5 * (1 + np.exp(ratios))
-    changed = np.where(both, anew / (anew + (1 - renewed) * repeats), 0.0)
-    total, count = changed.sum(axis=1, keepdims=True), both.sum(axis=1, keepdims=True)
-    return np.asarray((renewed + total) / (1 + count))
+    lines, bins = ratios.shape
+    result = np.full((lines, bins), renewed)
+    for n in range(lines):
+        before = 0.0
+        for b in range(bins):
+            share = renewed + max(_CHANGES_ON - renewed, 0.0) * before
+            result[n, b] = share
+            anew = share * 0.5 * (1 + math.exp(ratios[n, b]))
+            before = anew / (anew + (1 - share) * repeats[n, b])
+            if math.isnan(before):
+                before = 0.0
+    return result
 
 
 def add_volume(
@@ -109,7 +124,7 @@ def add_volume(
         (n, b) densities of a repetition of the last volume's contrast, relative to nothing's; NaN
         where that was not seen.
     renewed
-        (n, 1) or (1, 1) probabilities that a line's bin is drawn anew since the last volume.
+        (n, b) probabilities that a bin is drawn anew since the last volume.
     prior
         Probability that a bin that is there shows itself.
     """
@@ -206,14 +221,14 @@ def _advancing(  # pragma: no cover - compiled
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _class_logs(  # pragma: no cover - compiled
-    logs: Any, riding: Any, appearing: Any, moves: Any, start: Any, change: Any, passing: Any
+    logs: Any, riding: Any, appearing: Any, moves: Any, hand: Any, probe: Any, passing: Any
 ) -> Any:
-    """Return what `class_logs` does; ``start`` and ``change`` as of `_advancing`."""
+    """Return what `class_logs` does; ``hand`` and ``probe`` as `_hand` gives them."""
     count, times, bins = logs.shape
     result = np.full((count, 5), -1e3)
     factors, turned = np.zeros((times, bins)), np.zeros((times, bins))
     first, anywhere = np.zeros(bins + 1), np.full(bins + 1, 1 / (bins + 1))
-    shift, sure = np.zeros((times, 1, _MOST)), np.ones((1, 1))
+    shift = np.zeros((times, len(GLINTS), _MOST))
     for n in range(count):
         bound = 0.0
         for b in range(bins):
@@ -249,10 +264,12 @@ def _class_logs(  # pragma: no cover - compiled
             first[:] = (1 - _ENTERING) / (bins + 1)
             first[seen] += _ENTERING
             sides = (before, back[::-1]) if way == 0 else (back, before[::-1])
-            result[n, way] = _advancing(one, *sides, first, moves, start, change)
+            result[n, way] = _advancing(one, *sides, first, moves, *hand)
             for t in range(times):
-                shift[t, 0] = _passed(max(passing[n, t] if way == 0 else -passing[n, t], 0.0))
-            uncovered = _advancing(one, *sides, anywhere, shift, sure[0], sure) - math.log(2)
+                slid = max(passing[n, t] if way == 0 else -passing[n, t], 0.0)
+                for m in range(len(GLINTS)):
+                    shift[t, m] = _passed(GLINTS[m] * slid)
+            uncovered = _advancing(one, *sides, anywhere, shift, *probe) - math.log(2)
             a, c = max(result[n, 2], uncovered), min(result[n, 2], uncovered)
             result[n, 2] = a + math.log1p(math.exp(c - a))
         result[n, 2] -= math.log(2)
@@ -265,8 +282,8 @@ def class_logs(
     """Return (n, 5) log evidence of each line: needle either way, resting, riding, appeared.
 
     What of a smooth line at rest is seen depends on the angle at which sound meets it. So the end
-    of what is seen rests with the line, or it goes along about as far as a place in the image does
-    while the probe moves: as probable a priori, in either sense.
+    of what is seen rests with the line, or it slides as one of the `GLINTS` does while a place in
+    the image moves along the line with the probe: as probable a priori, in either sense.
 
     Parameters
     ----------
@@ -283,9 +300,11 @@ def class_logs(
         time.
     """
     all_moves = np.broadcast_to(moves, (logs.shape[1], *moves.shape))
-    hand = _hand(len(moves))
+    hand, probe = _hand(len(moves)), _hand(len(GLINTS))
 
     def of(part: slice) -> Any:
-        return _class_logs(logs[part], riding[part], appearing, all_moves, *hand, passing[part])
+        return _class_logs(
+            logs[part], riding[part], appearing, all_moves, hand, probe, passing[part]
+        )
 
     return np.concatenate([np.zeros((0, 5)), *by_parts(of, len(logs))])

@@ -42,6 +42,10 @@ from sonoservo.systems.tracking.needle_line import log_odds
 
 Floats = NDArray[np.float64]
 
+_PACE = 0.5
+"""Least time in s from one volume that is followed to the next: a needle that is pushed slowly
+passes most of a bin in it. Over less, it looks like a line at rest whose echo changes a little."""
+
 _REMEMBERED = 14
 """Number of volumes that a new line is looked for in, and of times of arrival that are told apart:
 what came before them was always there."""
@@ -53,7 +57,7 @@ _OTHERS = np.array([0.7, 0.1, 0.2])
 """Prior probabilities of a line that is no needle: resting, riding, and nothing but speckle."""
 
 _NEEDLES = 0.002
-"""Number of needles that come with a volume, one in some minutes: the more lines come with it, the
+"""Number of needles that come with a volume, one in five minutes: the more lines come with it, the
 fewer of them are needles."""
 
 _BIRTHS = 0.05
@@ -282,7 +286,7 @@ class LineBelief(Immutable):
 
 
 def follow(belief: LineBelief, volume: Volume, *, look: bool = False) -> LineBelief:
-    """Return the belief after another volume.
+    """Return the belief after another volume; the same if it came too soon to tell more.
 
     Parameters
     ----------
@@ -294,6 +298,8 @@ def follow(belief: LineBelief, volume: Volume, *, look: bool = False) -> LineBel
         Whether all prominent lines are judged by their looks, not only those that move like a
         needle.
     """
+    if belief.memory and volume.time < belief.time + _PACE:
+        return belief
     memory = (*belief.memory[1 - _REMEMBERED :], _remember(volume, belief.memory))
     shown = _shown_at(belief.lines, memory[-1])
     newest = replace(

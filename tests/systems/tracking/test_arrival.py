@@ -29,10 +29,11 @@ def bernoulli_chain(factors):
 def advancing(factors, moves, seen=None):
     """Log of the sum over all paths of a tip, mode and place at each time, by their prior.
 
-    Without the first bin that is seen, it begins anywhere, with one mode of moves for each time.
+    ``moves`` are by time, mode and bins passed. Without the first bin that is seen, it begins
+    anywhere.
     """
     times, bins = factors.shape
-    modes = 1 if seen is None else len(moves)
+    modes = moves.shape[1]
 
     def before(a):
         return bernoulli_chain(factors[0, :a]) if a else 0.0
@@ -40,12 +41,7 @@ def advancing(factors, moves, seen=None):
     def beyond(a):
         return bernoulli_chain(factors[0, a:][::-1]) if a < bins else 0.0
 
-    def move(t, m, d):
-        return moves[t, d] if seen is None else moves[m, d]
-
     def switch(m, n):
-        if modes == 1:
-            return 1.0
         if m == n:
             return arrival._KEEPS
         leaves = 1 - arrival._KEEPS
@@ -56,26 +52,26 @@ def advancing(factors, moves, seen=None):
     logs = []
     for places in product(range(bins + 1), repeat=times):
         steps = np.diff(places)
-        if (steps < 0).any() or (steps >= moves.shape[1]).any():
+        if (steps < 0).any() or (steps >= moves.shape[2]).any():
             continue
         enters = 0.0 if seen is None else arrival._ENTERING
         first = (1 - enters) / (bins + 1) + enters * (places[0] == seen)
         came = sum(np.log(factors[t, places[t - 1] : places[t]]).sum() for t in range(1, times))
         for path in product(range(modes), repeat=times):
-            p = first * (0.5 if path[0] == 0 else 0.5 / (modes - 1)) if modes > 1 else first
+            p = first * (0.5 if path[0] == 0 else 0.5 / (modes - 1))
             for t in range(1, times):
-                p *= switch(path[t - 1], path[t]) * move(t, path[t], steps[t - 1])
+                p *= switch(path[t - 1], path[t]) * moves[t, path[t], steps[t - 1]]
             if p == 0:
                 continue
             logs.append(np.log(p) + came + before(places[0]) + beyond(places[-1]))
     return logsumexp(logs)
 
 
-def shifts(passing):
-    """(t, d) probabilities that the end of what is seen passes d bins, as far as the image does."""
-    means = np.maximum(passing, 0.0)[:, np.newaxis]
+def slides(passing):
+    """(t, m, d) probabilities that a glint passes d bins, by how far the image does."""
+    means = np.multiply.outer(np.maximum(passing, 0.0), arrival.GLINTS)[..., np.newaxis]
     rows = norm.pdf(np.arange(arrival._MOST), means, 0.35 * means + 0.35)
-    return rows / rows.sum(axis=1, keepdims=True)
+    return rows / rows.sum(axis=-1, keepdims=True)
 
 
 def test_classes_are_the_sums_over_all_histories(monkeypatch):
@@ -86,6 +82,7 @@ def test_classes_are_the_sums_over_all_histories(monkeypatch):
     appearing = np.log([1e-20, 0.01, 0.02, 0.03])
     logs, riding = rng.normal(0.5, 2.0, (2, times, bins)), rng.normal(0.0, 2.0, (2, bins))
     logs[1, 0, 0] = 0.0  # not seen
+    pushes = np.broadcast_to(moves, (times, *moves.shape))
     passing = np.array([[0.0, 1.0, 0.4, -0.7], [0.0, 0.0, 0.0, 0.0]])
     found = class_logs(logs, riding, appearing, moves, passing)
     for n in range(2):
@@ -93,13 +90,13 @@ def test_classes_are_the_sums_over_all_histories(monkeypatch):
         seen = [int(np.flatnonzero(each != 1)[0]) for each in (factors[0], factors[0, ::-1])]
         at_once = [bernoulli_chain(factors[t]) + appearing[t] for t in range(1, times)]
         expected = [
-            advancing(factors, moves, seen[0]),
-            advancing(factors[:, ::-1], moves, seen[1]),
+            advancing(factors, pushes, seen[0]),
+            advancing(factors[:, ::-1], pushes, seen[1]),
             logsumexp(
                 [
                     bernoulli_chain(factors[0]),
-                    advancing(factors, shifts(passing[n])) - np.log(2),
-                    advancing(factors[:, ::-1], shifts(-passing[n])) - np.log(2),
+                    advancing(factors, slides(passing[n])) - np.log(2),
+                    advancing(factors[:, ::-1], slides(-passing[n])) - np.log(2),
                 ]
             )
             - np.log(2),
@@ -145,12 +142,17 @@ def test_a_bin_repeats_itself_or_is_drawn_anew():
     np.testing.assert_array_equal(logs, before)
 
 
-def test_each_line_has_its_own_share_of_bins_that_are_drawn_anew():
-    ratios, repeats = np.zeros((3, 20)), np.full((3, 20), 1e3)
-    repeats[0, :5] = 1e-6  # these are nothing like what was there before
-    repeats[1], repeats[2] = 1e-6, np.nan  # a whole line comes out of a shadow, or into view
-    shares = renewed_shares(ratios, repeats, RENEWED)[:, 0]
-    expected = [(5 + RENEWED) / 21, (20 + RENEWED) / 21, RENEWED]
+def test_what_is_drawn_anew_goes_on_along_the_line():
+    ratios, repeats = np.zeros((2, 6)), np.full((2, 6), 1e3)
+    repeats[0, 1:3] = 1e-6  # these are nothing like what was there before
+    repeats[1] = 1e-6
+    repeats[1, 2] = np.nan  # not seen
+    shares = renewed_shares(ratios, repeats, RENEWED)
+    on = arrival._CHANGES_ON
+    expected = [
+        [RENEWED, RENEWED, on, on, RENEWED, RENEWED],
+        [RENEWED, on, on, RENEWED, on, on],
+    ]
     np.testing.assert_allclose(shares, expected, atol=1e-3)
 
 
