@@ -56,8 +56,8 @@ _SHOWS = 0.7
 _OTHERS = np.array([0.7, 0.1, 0.2])
 """Prior probabilities of a line that is no needle: resting, riding, and nothing but speckle."""
 
-_NEEDLES = 0.002
-"""Number of needles that come with a volume, one in five minutes: the more lines come with it, the
+_NEEDLES = 0.004
+"""Number of needles that come with a volume, one in some minutes: the more lines come with it, the
 fewer of them are needles."""
 
 _BIRTHS = 0.05
