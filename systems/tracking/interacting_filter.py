@@ -158,8 +158,8 @@ class InteractingFilter:
         Motion of the tip in W and of the tip in the probe's frame, in m, and turn of the probe, in
         degrees, that let the correlation of the repeated error fall to exp(-1/2).
     first_speed_std, first_drift_std
-        Standard deviations of the tip's velocity along the needle, and of every point's velocity in
-        every direction, at the start of a track, in m/s.
+        Standard deviations of the tip's velocity along the needle, and of the whole needle's
+        velocity in every direction, at the start of a track, in m/s.
     """
 
     orders: ClassVar[tuple[int, ...]] = (2, 3)
@@ -200,7 +200,10 @@ class InteractingFilter:
         points, velocities, errors = (slice(i * size, (i + 1) * size) for i in range(3))
         P = np.zeros((3 * size + 2, 3 * size + 2))
         P[points, points] = measurement.total_covariance - self.constant * R
-        P[velocities, velocities] = self.first_drift_std**2 * np.eye(size)
+        # A needle drifts as it is: it grows longer only if it advances.
+        along, same = np.outer(k, k), np.ones((curve.order, curve.order))
+        drifts = np.kron(same, along) + np.kron(np.eye(curve.order), np.eye(3) - along)
+        P[velocities, velocities] = self.first_drift_std**2 * drifts
         # The points are known by the measurement only: where its error is, they are not.
         root = np.sqrt(self.repeated) * _root(R)
         P[errors, errors] = np.eye(size)
