@@ -32,6 +32,18 @@ THREADS = (*LINEAR_ALGEBRA, "OMP_NUM_THREADS", "NUMEXPR_NUM_THREADS", "NUMBA_NUM
 _WATCH_PERIOD = 0.2  # time in s between two looks of a process at its parent
 
 
+class FinishedOnly:
+    """Executor that runs nothing, so that a study consists of the runs that are finished."""
+
+    slots = 0
+
+    def run(
+        self, work: Work, cases: Sequence[Case], store: Store, notify: Callable[[str], None]
+    ) -> Generator[Finished]:
+        """Yield nothing; see `Executor`."""
+        yield from ()
+
+
 class Processes:
     """Executor on the cores of this machine: a process of one thread for each slot.
 

@@ -143,6 +143,9 @@ def reproduce_command(
     only: Annotated[
         str, typer.Option(help="Run the experiments only whose names begin so, such as open.")
     ] = "",
+    finished: Annotated[
+        bool, typer.Option("--finished", help="Report the finished runs, and make no others.")
+    ] = False,
     keep: Annotated[
         bool, typer.Option("--keep", help="Keep the results in the repository, with its tables.")
     ] = False,
@@ -163,6 +166,7 @@ def reproduce_command(
     with console.status(f"Preparing to reproduce {paper} ..."):  # seconds, where files are cold
         from sonoservo.diagrams.app.terminal import study_table
         from sonoservo.diagrams.papers.results import keep_results
+        from sonoservo.diagrams.studies.processes import FinishedOnly
         from sonoservo.diagrams.studies.study import StudyOptions
         from sonoservo.diagrams.studies.study_report import write_studies, write_study
     folder = results.out or Path("out") / f"{paper}{'_quick' if quick else ''}"
@@ -170,6 +174,7 @@ def reproduce_command(
     command += [] if seeds is None else ["--seeds", str(seeds)]
     command += ["--first-seed", str(first_seed)] if first_seed else []
     command += ["--only", only] if only else []
+    command += ["--finished"] if finished else []
     command += [] if results.out is None else ["--out", str(results.out)]
     try:
         options = StudyOptions(
@@ -188,8 +193,12 @@ def reproduce_command(
         with opened(workers) as executor:
             for each in papers:
                 into = folder / each if paper == ALL else folder
+                if finished:
+                    executor = FinishedOnly()
                 console.print(f"Reproducing {each} ...")
                 studies.append(reproduce(each, replace(options, folder=into, cluster=executor)))
+                if not studies[-1].outcomes:
+                    raise ConfigurationError(f"--finished: no run by this code is in {into}")
                 # before its files, which a full disk would prevent
                 console.print(study_table(studies[-1], console.width))
     except KeyboardInterrupt:

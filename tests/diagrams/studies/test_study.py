@@ -16,7 +16,7 @@ from rich.console import Console
 
 from sonoservo.diagrams.studies import fingerprint, runs
 from sonoservo.diagrams.studies.fingerprint import code_fingerprint, made_by
-from sonoservo.diagrams.studies.processes import Processes
+from sonoservo.diagrams.studies.processes import FinishedOnly, Processes
 from sonoservo.diagrams.studies.runs import StudyProgress, run_cases, run_study
 from sonoservo.diagrams.studies.study import Case, Outcome, StudyOptions
 from sonoservo.systems.files.refusals import ConfigurationError
@@ -70,6 +70,13 @@ def test_what_is_done_is_not_done_again(tmp_path, calls):
     again = run_cases(square, make_cases(calls, range(5)), tmp_path / "cases", jobs=1)
     assert seeds_called(calls) == [0, 1, 2, 3, 4]
     assert again[:3] == first
+
+
+def test_a_study_may_consist_of_what_is_finished(tmp_path, calls):
+    run_cases(square, make_cases(calls, range(2)), tmp_path / "cases", jobs=1)
+    finished = run_cases(square, make_cases(calls), tmp_path / "cases", cluster=FinishedOnly())
+    assert [each.case.seed for each in finished] == [0, 1]
+    assert seeds_called(calls) == [0, 1]
 
 
 def test_other_settings_other_code_or_a_broken_file_are_done_again(tmp_path, calls, monkeypatch):
