@@ -228,7 +228,7 @@ def _class_logs(  # pragma: no cover - compiled
     result = np.full((count, 5), -1e3)
     factors, turned = np.zeros((times, bins)), np.zeros((times, bins))
     first, anywhere = np.zeros(bins + 1), np.full(bins + 1, 1 / (bins + 1))
-    shift = np.zeros((times, len(GLINTS), _MOST))
+    shift, rests = np.zeros((times, len(GLINTS), _MOST)), _passed(0.0)
     for n in range(count):
         bound = 0.0
         for b in range(bins):
@@ -265,10 +265,12 @@ def _class_logs(  # pragma: no cover - compiled
             first[seen] += _ENTERING
             sides = (before, back[::-1]) if way == 0 else (back, before[::-1])
             result[n, way] = _advancing(one, *sides, first, moves, *hand)
+            shift[:] = rests
             for t in range(times):
-                slid = max(passing[n, t] if way == 0 else -passing[n, t], 0.0)
-                for m in range(len(GLINTS)):
-                    shift[t, m] = _passed(GLINTS[m] * slid)
+                slid = passing[n, t] if way == 0 else -passing[n, t]
+                if slid > 0:
+                    for m in range(len(GLINTS)):
+                        shift[t, m] = _passed(GLINTS[m] * slid)
             uncovered = _advancing(one, *sides, anywhere, shift, *probe) - math.log(2)
             a, c = max(result[n, 2], uncovered), min(result[n, 2], uncovered)
             result[n, 2] = a + math.log1p(math.exp(c - a))
