@@ -158,7 +158,7 @@ def run_study(
     if not chosen:
         known = ", ".join(dict.fromkeys(each.experiment for each in cases))
         raise ConfigurationError(f"--only: no experiment begins with {options.only!r}; {known}")
-    return run_cases(
+    outcomes = run_cases(
         work,
         chosen,
         options.folder / folder,
@@ -167,6 +167,9 @@ def run_study(
         store=None if logs is None else Store(str(logs)),
         console=options.console,
     )
+    if not outcomes:
+        raise ConfigurationError(f"--finished: no run by this code is in {options.folder}")
+    return outcomes
 
 
 class _Kept:

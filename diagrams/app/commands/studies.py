@@ -3,7 +3,7 @@
 import shlex
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -190,15 +190,11 @@ def reproduce_command(
         raise ConfigurationError(str(error)) from error
     studies = []
     try:
-        with opened(workers) as executor:
+        with nullcontext(FinishedOnly()) if finished else opened(workers) as executor:
             for each in papers:
                 into = folder / each if paper == ALL else folder
-                if finished:
-                    executor = FinishedOnly()
                 console.print(f"Reproducing {each} ...")
                 studies.append(reproduce(each, replace(options, folder=into, cluster=executor)))
-                if not studies[-1].outcomes:
-                    raise ConfigurationError(f"--finished: no run by this code is in {into}")
                 # before its files, which a full disk would prevent
                 console.print(study_table(studies[-1], console.width))
     except KeyboardInterrupt:

@@ -77,6 +77,9 @@ def test_a_study_may_consist_of_what_is_finished(tmp_path, calls):
     finished = run_cases(square, make_cases(calls), tmp_path / "cases", cluster=FinishedOnly())
     assert [each.case.seed for each in finished] == [0, 1]
     assert seeds_called(calls) == [0, 1]
+    options = StudyOptions(folder=tmp_path / "other", cluster=FinishedOnly())
+    with pytest.raises(ConfigurationError, match="--finished: no run by this code is in"):
+        run_study(square, make_cases(calls), options)
 
 
 def test_other_settings_other_code_or_a_broken_file_are_done_again(tmp_path, calls, monkeypatch):
