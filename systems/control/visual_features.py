@@ -59,16 +59,3 @@ def saturated(
     v_x, v_z, omega_y = velocity.tolist()
     excess = max(math.hypot(v_x, v_z) / speed, abs(omega_y) / angular_speed, 1)
     return velocity / excess
-
-
-def significant_velocity(velocity: NDArray[np.float64], min_speed: float) -> NDArray[np.float64]:
-    """Return a velocity if it stands out from its noise: all from twice `min_speed`, none below it.
-
-    A filter's velocity is never exactly zero, and following its noise would shake a probe at rest.
-    Its covariance cannot tell noise from motion: a filter that allows for sudden starts is
-    uncertain of a velocity that hardly scatters.
-    """
-    speed = math.hypot(*velocity.tolist())
-    if speed >= 2 * min_speed:
-        return velocity
-    return velocity * max(speed / min_speed - 1, 0)

@@ -13,7 +13,6 @@ from sonoservo.systems.control.visual_features import (
     needle_features,
     saturated,
     servo_velocity,
-    significant_velocity,
 )
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
 from sonoservo.systems.signals.ports import declare_inputs, declare_output, evaluate_port
@@ -37,9 +36,6 @@ class VisualServoParameters(Bounded):
         Whether the probe moves with the tip's estimated velocity while the needle is seen, but not
         while the estimate coasts. It is off in the paper, and the tip then lags by its
         velocity / gain.
-    min_speed
-        Speed below which the tip's velocity counts as noise and is not followed, in m/s. From twice
-        this speed it is followed in full. Zero follows every velocity.
     min_inclination_deg
         Smallest angle between the needle and the beam at which the probe rotates, in deg.
     stale_after
@@ -57,7 +53,6 @@ class VisualServoParameters(Bounded):
 
     gain: NotNegative = 1.6
     feed_forward: bool = True
-    min_speed: NotNegative = 1.5e-3
     min_inclination_deg: NotNegative = 10.0
     stale_after: Positive = 1.5
     max_tip_std: Positive = 0.025
@@ -98,7 +93,7 @@ def planar_velocity(
     tip = estimate.curve.tip - p_WP
     rates = np.zeros(3)
     if parameters.feed_forward and estimate.mode is TrackingMode.TRACKING:
-        velocity = significant_velocity(estimate.tip_velocity, parameters.min_speed)
+        velocity = estimate.tip_velocity
         tip = tip + age * velocity
         rates[:2] = (R_PW @ velocity)[[0, 2]]
 

@@ -27,7 +27,7 @@ class LineFollower(LeafSystem):
         - belief
         - explanation
 
-    ``estimate`` is the `NeedleEstimate` before the volume. While a needle is followed, nobody needs
+    ``estimate`` is the `NeedleEstimate` before the volume. While it shows the needle, nobody needs
     the other lines, and they are forgotten. ``lines`` are the `LineHypotheses` after the volume
     at the input, and ``belief`` the `LineBelief` from which they follow; they are a `NotFound` if
     there are none. They depend on the state, on the estimate and on that volume. ``explanation`` is
@@ -37,7 +37,7 @@ class LineFollower(LeafSystem):
     ----------
     anywhere
         Whether lines at rest are judged by their looks from the first volume on. If not, they are
-        while a needle is lost.
+        once a needle is no longer seen.
     period, offset
         Period and offset of the event, in s.
     """
@@ -80,9 +80,9 @@ class LineFollower(LeafSystem):
         mode = TrackingMode.SEARCHING
         if self.GetInputPort("estimate").HasValue(context):
             mode = evaluate(self, context, "estimate", NeedleEstimate).mode
-        if mode in (TrackingMode.TRACKING, TrackingMode.COASTING):
+        if mode == TrackingMode.TRACKING:
             return belief.rested(volume)
-        return follow(belief, volume, look=self._anywhere or mode == TrackingMode.LOST)
+        return follow(belief, volume, look=self._anywhere or mode != TrackingMode.SEARCHING)
 
     def _calc_lines(self, context: Context, output: Value) -> None:
         belief = self._after.Eval(context)

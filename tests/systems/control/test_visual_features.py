@@ -10,7 +10,6 @@ from sonoservo.systems.control.visual_features import (
     needle_features,
     saturated,
     servo_velocity,
-    significant_velocity,
 )
 
 lengths = st.floats(-0.1, 0.1)
@@ -90,15 +89,3 @@ def test_saturation_keeps_the_direction_and_the_limits(velocity):
         np.testing.assert_array_equal(slowed, velocity)
     assume(np.abs(velocity).max() > 1e-6)
     assert slowed @ velocity > 0
-
-
-@given(
-    direction=st.tuples(*3 * [st.floats(-1, 1)]).filter(lambda d: np.linalg.norm(d) > 0.1),
-    speed_share=st.sampled_from([(0.0, 0), (1e-3, 0), (1.5e-3, 0.5), (2e-3, 1), (9e-3, 1)]),
-)
-def test_only_a_significant_velocity_passes(direction, speed_share):
-    speed, share = speed_share
-    velocity = speed * np.array(direction) / np.linalg.norm(direction)
-    passed = significant_velocity(velocity, 1e-3)
-    np.testing.assert_allclose(passed, share * velocity, atol=1e-12)
-    np.testing.assert_array_equal(significant_velocity(velocity, 0.0), velocity)
