@@ -26,7 +26,7 @@ from sonoservo.systems.tracking.axis import Axis
 from sonoservo.systems.tracking.line_contrast import best_stretches
 from sonoservo.systems.tracking.needle_blur import needle_blur, sound_directions
 
-_NOTHING, _SPREAD = 1.8, 0.33
+_NOTHING, _SPREAD = 2.2, 0.25
 """Standard deviation of the contrast in dB where there is no needle, and by how much more a
 needle's deviates from its level so far, per dB of that level: it flashes, fades and hides."""
 
@@ -35,7 +35,8 @@ _RARE, _RARE_STD, _RARE_SPREAD = 0.06, 5.0, 2.3
 needle, and the factor on it along one."""
 
 _TREND, _BEFORE = 5e-3, 1e-3
-"""Length in m whose mean contrast is a needle's level so far, and its distance from there."""
+"""Length in m along which a needle's level so far is remembered to 1/e, and its distance from
+there."""
 
 _MIRROR = 16.0, 24.0
 """Contrast in dB up to which an end is rough, and from which on it mirrors sound."""
@@ -315,17 +316,17 @@ def _end_logs(  # pragma: no cover - compiled
     m = len(contrast)
     needle, nothing = np.zeros(m + 1), np.zeros(m + 1)
     logs, tops = np.full(m, -np.inf), np.zeros(m)
-    length, gap = int(_TREND / step), int(_BEFORE / step)
+    gap, kept = int(_BEFORE / step), math.exp(-step / _TREND)
+    total, count, end = 0.0, 0.0, first
     for b in range(first, m):
         needle[b + 1], nothing[b + 1] = needle[b], nothing[b]
+        while end < min(max(b - gap, first + gap), m):
+            total, count = kept * total, kept * count
+            if seen[end]:
+                total, count = total + contrast[end], count + 1
+            end += 1
         if seen[b]:
-            total, count = 0.0, 0
-            end = max(b - gap, first + gap)
-            for e in range(max(end - length, first), min(end, m)):
-                if seen[e]:
-                    total += contrast[e]
-                    count += 1
-            level = max(total / max(count, 1), 0.0)
+            level = max(total / count, 0.0) if count > 0 else 0.0
             # What speckle alone would add to the mean is taken off, as in Wiener's filter.
             level = level**3 / (level**2 + 1.5)
             std = _NOTHING + _SPREAD * min(level, 16.0)
