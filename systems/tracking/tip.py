@@ -36,7 +36,8 @@ needle, and the factor on it along one."""
 
 _TREND, _BEFORE = 5e-3, 1e-3
 """Length in m along which a needle's level so far is remembered to 1/e, and its distance from
-there."""
+there. This length, `_NOTHING` and `_SPREAD` are fitted by ``python -m tip_study.levels``
+(tests/tools)."""
 
 _MIRROR = 16.0, 24.0
 """Contrast in dB up to which an end is rough, and from which on it mirrors sound."""

@@ -1,0 +1,111 @@
+"""Command that fits how a needle's level varies along it, and how it changes up to the tip.
+
+``PYTHONPATH=tests/helpers:tests/tools python -m tip_study.levels --seeds 100 103`` runs needles
+that go in, rest, bend and come out. Along each true axis, the search for the end gives a
+probability to the 3 mm around the true tip; the table shows its mean logarithm for several values.
+"""
+
+import argparse
+import itertools
+import os
+from collections import defaultdict
+from functools import partial
+
+import numpy as np
+from numba import njit
+from scipy.ndimage import uniform_filter1d
+
+from sonoservo.diagrams.experiments.following import FollowingExperiment
+from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
+from sonoservo.diagrams.experiments.following_scene import observer_events
+from sonoservo.diagrams.experiments.registry import load_scenario
+from sonoservo.diagrams.papers.chatelain2013.reproduction import (
+    bent_insertion,
+    direction_of_insertion,
+)
+from sonoservo.diagrams.scenario import require_scenario
+from sonoservo.systems.recording.volume_collector import VolumeCollector
+from sonoservo.systems.tracking import tip
+from sonoservo.systems.tracking.axis import axis_through
+
+KINDS = {
+    "out": ("chatelain2013_fig4", lambda seed: ["duration=60"]),
+    "straight": ("chatelain2013_fig5", lambda seed: ["duration=24"]),
+    "moved": ("chatelain2013_fig6", lambda seed: []),
+    "bent": ("chatelain2013_fig5", lambda seed: [*bent_insertion(seed), "duration=24"]),
+    "directions": ("chatelain2013_fig5", direction_of_insertion),
+}
+"""Scenario and changes by kind of needle."""
+
+VALUES = {"_NOTHING": (1.8, 2.2, 2.6), "_SPREAD": (0.25, 0.33), "_TREND": (3.5e-3, 5e-3, 8e-3)}
+PARAMETERS = tip.TipParameters()
+NEAR, EVERY, SHORTEST = 3e-3, 3, 12e-3
+
+
+def profiles(scenario, changes, seed):
+    """Yield profiles along the true axis, with the abscissa of the true tip in m."""
+    checked = require_scenario(
+        load_scenario(scenario, changes=changes, seed=seed), FollowingScenario
+    )
+    collector = VolumeCollector(**observer_events(checked))
+    experiment = FollowingExperiment(checked, observers={"volume_collector": collector})
+    experiment.run()
+    log = experiment.log()
+    for volume in collector.volumes(experiment.context_of(collector))[::EVERY]:
+        now = int(np.abs(log.time - volume.time).argmin())
+        points = log.needle_points[now][[0, 4, 8]]
+        if not (
+            log.visible_length[now] > 0.01 and np.linalg.norm(points[2] - points[0]) > SHORTEST
+        ):
+            continue
+        axis = axis_through(points)
+        entry, end = axis.abscissa(points[[0, 2]])
+        found = tip.axis_profile(volume, axis, entry - 0.01, end + 0.05, PARAMETERS)
+        if found.seen[np.searchsorted(found.a, end)]:
+            yield found, end
+
+
+def log_probability(profile, end):
+    """Return the logarithm of the probability that the tip lies near the true one."""
+    step = float(profile.a[1] - profile.a[0])
+    mean = partial(uniform_filter1d, size=round(PARAMETERS.smoothing / step), mode="nearest")
+    contrast = mean(profile.level) - mean(profile.background)
+    first, last, _ = tip.most_evident_stretch(
+        contrast, profile.seen, step=step, neutral=PARAMETERS.contrast,
+        max_evidence=PARAMETERS.max_evidence,
+    )  # fmt: skip
+    if last < 0 or profile.a[first] > end:
+        return np.log(1e-6)
+    share = step / np.maximum(profile.beam_width, PARAMETERS.smoothing)
+    sigma = profile.beam_width / tip.FWHM_PER_SIGMA
+    logs, beyond, _ = tip._end_logs(contrast, profile.seen, share, sigma, step, first)
+    logs = logs - (profile.a - profile.a[first]) / tip.REACH
+    beyond = beyond - (profile.a[-1] - profile.a[first]) / tip.REACH + np.log(tip.REACH / step)
+    top = max(logs.max(), beyond)
+    weights = np.exp(logs - top)
+    near = weights[np.abs(profile.a - end) < NEAR].sum()
+    return np.log(max(near / (weights.sum() + np.exp(beyond - top)), 1e-6))
+
+
+def main(arguments=None):
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=main.__doc__)
+    parser.add_argument("--seeds", type=int, nargs=2, default=(100, 102), help="first and one more")
+    parser.add_argument("--kinds", nargs="+", default=list(KINDS), choices=list(KINDS))
+    chosen = parser.parse_args(arguments)
+    seen = defaultdict(list)
+    for kind, seed in itertools.product(chosen.kinds, range(*chosen.seeds)):
+        scenario, changes = KINDS[kind]
+        seen[kind] += profiles(scenario, changes(seed), seed)
+    print(*(name.strip("_").lower() for name in VALUES), *seen, "all", sep=" | ")
+    for values in itertools.product(*VALUES.values()):
+        for name, value in zip(VALUES, values, strict=True):
+            setattr(tip, name, value)
+        tip._end_logs = njit(error_model="numpy")(tip._end_logs.py_func)
+        means = [np.mean(list(itertools.starmap(log_probability, seen[kind]))) for kind in seen]
+        print(*values, *np.round([*means, np.mean(means)], 3), sep=" | ", flush=True)
+
+
+if __name__ == "__main__":
+    os.environ.setdefault("NUMBA_NUM_THREADS", "1")
+    main()
