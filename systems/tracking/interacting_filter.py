@@ -180,7 +180,7 @@ class InteractingFilter:
     unseen_time: Positive = 0.5
     constant: float = 0.25
     repeated: float = 0.65
-    place_length: Positive = 3e-3
+    place_length: Positive = 1.5e-3
     view_length: Positive = 0.7e-3
     view_angle_deg: Positive = 2.5
     first_speed_std: Positive = 4e-3
