@@ -15,7 +15,7 @@ from sonoservo.systems.evaluation.labels import look_up
 from sonoservo.systems.evaluation.reports.plots import png
 from sonoservo.systems.evaluation.reports.report import Story, report_body, write_report
 from sonoservo.systems.evaluation.reports.verdict import Verdict
-from sonoservo.systems.evaluation.table import Table, cell_text
+from sonoservo.systems.evaluation.table import Table
 from sonoservo.systems.files.writing import Unwritten, write_atomically
 
 _REASONS = 3  # Number of reasons of lost volumes that are shown
@@ -109,8 +109,9 @@ def summary_table(result: RunResult) -> TerminalTable:
         verdict = Text.assemble(headline, f" {result.verdict.text}")
         caption = Text("\n").join([verdict, caption] if caption else [verdict])
     rows = [
-        [label, cell_text(look_up(summary, path)), published.get(path)]
+        [label, value, published.get(path)]
         for path, label in result.labels.items()
+        if (value := look_up(summary, path)) is not None
     ]
     table = Table(["quantity", "this run", "paper"], rows).without_empty_columns()
     shown = table.terminal(f"{summary['scenario']}, seed {summary['seed']}", widest=None)
