@@ -158,13 +158,8 @@ def _figures_text(
     summary: Mapping[str, Any], labels: Mapping[str, str], paper: Mapping[str, float]
 ) -> str:
     """Return the tables of a run's figures, each with the paper's values if it has any."""
-    told = {
-        path: label
-        for path, label in {**labels, **MORE_LABELS}.items()
-        if look_up(summary, path) is not None
-    }
     tables = []
-    for heading, shown in sections(told).items():
+    for heading, shown in sections(told(summary, {**labels, **MORE_LABELS})).items():
         rows = [
             [label, look_up(summary, path), float(paper[path]) if path in paper else ""]
             for path, label in shown.items()
@@ -176,6 +171,17 @@ def _figures_text(
     if not tables:
         return ""
     return '<h2>Figures</h2>\n<div class="tables">' + "\n".join(tables) + "</div>"
+
+
+def told(summary: Mapping[str, Any], labels: Mapping[str, str]) -> dict[str, str]:
+    """Return the labels of the figures that a summary has; nothing counts from no detection on."""
+    never = "detection" in summary and look_up(summary, "detection.volume") is None
+    since = [f"tracking.{each}" for each in ("volumes", "tracked", "lost_events") if never]
+    return {
+        path: label
+        for path, label in labels.items()
+        if look_up(summary, path) is not None and path not in since
+    }
 
 
 def web_page(title: str, facts: str, body: str, figures: Mapping[str, bytes]) -> str:
