@@ -145,9 +145,9 @@ class InteractingFilter:
     steady, unsteady, carried, jerked
         Spectral densities of the needle's acceleration under each model.
     lasting
-        Mean time in s for which a needle, or its end, moves in one way.
+        Mean time in s for which a needle moves in one way, and for which its end advances.
     calm
-        Mean time in s from one jerk to the next.
+        Mean time in s for which an end rests, and from one jerk to the next.
     unseen_time
         Time in s in which the speed of a tip that is not seen falls to 1/e. A hand that pushes
         stops before long.
@@ -336,7 +336,7 @@ class InteractingFilter:
             slid = math.hypot((X.multiply(end) - end) @ k, np.linalg.norm(turned))
         renewed = 1 - math.exp(-(advanced + slid) / REACH)
         hides, shows = renewed * now.unseen, renewed * (1 - now.unseen)
-        changes = 1 - math.exp(-dt / self.lasting)
+        stops, pushes = (1 - math.exp(-dt / time) for time in (self.lasting, self.calm))
         # An end that hides stops while the needle advances. One that stops or starts is the tip,
         # and what hid shows itself where the needle ends.
         same, hide, show = (np.eye(3 * size + 2) for _ in range(3))
@@ -350,9 +350,9 @@ class InteractingFilter:
         slides, starts = (np.zeros(3 * size + 2) for _ in range(2))
         slides[:size], slides[-2] = slid * beyond, -slid
         starts[size : 2 * size] = self.first_speed_std * beyond
-        stays, changed = (1 - hides) * (1 - changes), (1 - hides) * changes
         # From an end that advances, rests or hides to one that does, by row.
-        ways = np.array([[stays, changed, shows], [changed, stays, 0], [hides, hides, 1 - shows]])
+        seen = (1 - hides) * np.array([[1 - stops, pushes], [stops, 1 - pushes]])
+        ways = np.block([[seen, np.array([[shows], [0.0]])], [hides, hides, 1 - shows]])
         T = np.array([[same, same, show], [stop, same, same], [hide, same, same]])
         drift = np.zeros((3, 3, len(same)))
         drift[0, 1], drift[2, 1:] = starts, slides
