@@ -145,9 +145,9 @@ class InteractingFilter:
     steady, unsteady, carried, jerked
         Spectral densities of the needle's acceleration under each model.
     lasting
-        Mean time in s for which a needle, or its end, moves in one way.
+        Mean time in s for which a needle moves in one way, and for which its end advances.
     calm
-        Mean time in s from one jerk to the next.
+        Mean time in s for which an end rests, and from one jerk to the next.
     unseen_time
         Time in s in which the speed of a tip that is not seen falls to 1/e. A hand that pushes
         stops before long.
@@ -278,7 +278,7 @@ class InteractingFilter:
         axis = axis / np.linalg.norm(axis)
         turned = np.kron(np.eye(size // 3), _rotation(measurement.curve.direction, axis))
         R = turned @ measurement.covariance @ turned.T
-        state = self._switched(state, measurement)
+        came, means, P = self._switched(state, measurement)
         kept = self._correlation(state.seen, measurement)
         fades = np.r_[np.ones(2 * size), np.full(size, kept), 1.0, 1.0]
         renewed = np.diag(np.r_[np.zeros(2 * size), np.full(size, 1 - kept**2), 0.0, 0.0])
@@ -287,32 +287,40 @@ class InteractingFilter:
         # The end may be at any of its places, so each is tried (Bar-Shalom and Tse 1975).
         probabilities, z, wide = map(np.array, zip(*measurement.places, strict=True))
         noise = turned @ wide @ turned.T - (self.constant + self.repeated) * R
-        mean = fades * state.means
-        P = np.outer(fades, fades) * state.covariances + renewed
-        # Under each (model, place): correction, and how well it fits.
+        mean = fades * means
+        P = np.outer(fades, fades) * P + renewed
+        # Under each (way, place): correction, and how well it fits.
         S = (C @ P @ C.T)[:, np.newaxis] + noise
         y = z - (mean @ C.T)[:, np.newaxis]
         inverse, CP = np.linalg.inv(S), (C @ P)[:, np.newaxis]
         gains = CP.swapaxes(-1, -2) @ inverse
         distances = np.einsum("mpi,mpij,mpj->mp", y, inverse, y)
         fits = -0.5 * (distances + np.linalg.slogdet(S)[1])
-        weights = np.maximum(probabilities * np.exp(fits - fits.max()), 1e-300)
         found = mean[:, np.newaxis] + (gains @ y[..., np.newaxis])[..., 0]
-        _, means, covariances = _mixed(weights, found, P[:, np.newaxis] - gains @ CP)
-        prior = state.weights * _beyond_end(means, covariances) / _beyond_end(mean, P)
-        weights *= prior[:, np.newaxis] / (prior @ weights).sum()
+        corrected = P[:, np.newaxis] - gains @ CP
+        weights = came[:, np.newaxis] * probabilities * np.exp(fits - fits.max())
+        weights *= _beyond_end(found, corrected) / _beyond_end(mean, P)[:, np.newaxis]
+        # What was far apart before the volume is not any more, so it is merged only now.
+        weights, means, covariances = (
+            each.reshape(12, -1, *each.shape[2:]) for each in (weights, found, corrected)
+        )
+        weights, means, covariances = _mixed(np.maximum(weights, 1e-300), means, covariances)
         return replace(
             state,
             means=means,
             covariances=0.5 * (covariances + covariances.swapaxes(-1, -2)),
-            weights=weights.sum(axis=1),
+            weights=weights / weights.sum(),
             constant=self._constant(measurement, R),
             seen=measurement,
             axis=axis,
         )
 
-    def _switched(self, state: InteractingState, now: NeedleMeasurement) -> InteractingState:
-        """Return the state before a measurement: its end may rest now, hide, or advance.
+    def _switched(
+        self, state: InteractingState, now: NeedleMeasurement
+    ) -> tuple[Floats, Floats, Floats]:
+        """Return (36,) weights, means and covariances: an end may rest now, hide, or advance.
+
+        They are those before a measurement by motion, the end's new way and its last one.
 
         The farther the tip has advanced and the more the view of it has changed, the more of what
         hides it is new.
@@ -328,7 +336,7 @@ class InteractingFilter:
             slid = math.hypot((X.multiply(end) - end) @ k, np.linalg.norm(turned))
         renewed = 1 - math.exp(-(advanced + slid) / REACH)
         hides, shows = renewed * now.unseen, renewed * (1 - now.unseen)
-        changes = 1 - math.exp(-dt / self.lasting)
+        stops, pushes = (1 - math.exp(-dt / time) for time in (self.lasting, self.calm))
         # An end that hides stops while the needle advances. One that stops or starts is the tip,
         # and what hid shows itself where the needle ends.
         same, hide, show = (np.eye(3 * size + 2) for _ in range(3))
@@ -342,22 +350,16 @@ class InteractingFilter:
         slides, starts = (np.zeros(3 * size + 2) for _ in range(2))
         slides[:size], slides[-2] = slid * beyond, -slid
         starts[size : 2 * size] = self.first_speed_std * beyond
-        stays, changed = (1 - hides) * (1 - changes), (1 - hides) * changes
         # From an end that advances, rests or hides to one that does, by row.
-        ways = np.array([[stays, changed, shows], [changed, stays, 0], [hides, hides, 1 - shows]])
+        seen = (1 - hides) * np.array([[1 - stops, pushes], [stops, 1 - pushes]])
+        ways = np.block([[seen, np.array([[shows], [0.0]])], [hides, hides, 1 - shows]])
         T = np.array([[same, same, show], [stop, same, same], [hide, same, same]])
         drift = np.zeros((3, 3, len(same)))
         drift[0, 1], drift[2, 1:] = starts, slides
         x, P = state.means.reshape(4, 1, 3, -1, 1), state.covariances.reshape(4, 1, 3, *same.shape)
         P = T @ P @ T.swapaxes(-1, -2) + drift[..., np.newaxis] * drift[..., np.newaxis, :]
         came = ways * state.weights.reshape(4, 1, 3)
-        weights, means, covariances = _mixed(came, (T @ x)[..., 0], P)
-        return replace(
-            state,
-            weights=weights.ravel(),
-            means=means.reshape(state.means.shape),
-            covariances=covariances.reshape(state.covariances.shape),
-        )
+        return came.ravel(), (T @ x)[..., 0].reshape(36, -1), P.reshape(36, *same.shape)
 
     def _constant(self, measurement: NeedleMeasurement, R: Floats) -> Floats:
         """Return the covariance of the errors that all measurements have in common."""
@@ -392,8 +394,8 @@ def _beyond(axis: Floats, size: int) -> Floats:
 
 
 def _beyond_end(means: Floats, covariances: Floats) -> Floats:
-    """Return (12,) probabilities that no tip lies before the end that is seen."""
-    return ndtr(means[:, -2] / np.sqrt(np.maximum(covariances[:, -2, -2], 1e-12)))
+    """Return (...) probabilities that no tip lies before the end that is seen."""
+    return ndtr(means[..., -2] / np.sqrt(np.maximum(covariances[..., -2, -2], 1e-12)))
 
 
 def _rotation(start: Floats, end: Floats) -> Floats:
