@@ -14,11 +14,9 @@ from rich.text import Text
 from sonoservo.systems.evaluation.labels import look_up
 from sonoservo.systems.evaluation.reports.plots import png
 from sonoservo.systems.evaluation.reports.report import Story, report_body, told, write_report
-from sonoservo.systems.evaluation.reports.verdict import Verdict
+from sonoservo.systems.evaluation.reports.verdict import Verdict, reasons_text
 from sonoservo.systems.evaluation.table import Table
 from sonoservo.systems.files.writing import Unwritten, write_atomically
-
-_REASONS = 3  # Number of reasons of lost volumes that are shown
 
 
 @dataclass(frozen=True)
@@ -145,10 +143,3 @@ def stops_text(summary: Mapping[str, Any]) -> str:
     if reasons := look_up(summary, "tracking.reasons"):
         lines.append(f"volumes without a needle: {reasons_text(reasons)}")
     return "\n".join(lines)
-
-
-def reasons_text(reasons: Mapping[str, int]) -> str:
-    """Return the most frequent reasons with the numbers of their volumes, on one line."""
-    shown = [f"{count} x {reason}" for reason, count in list(reasons.items())[:_REASONS]]
-    rest = sum(reasons.values()) - sum(list(reasons.values())[:_REASONS])
-    return "; ".join(shown) + (f"; {rest} x others" if rest else "")

@@ -11,7 +11,7 @@ from rich.progress import Progress as RichProgress
 from rich.table import Table as TerminalTable
 from rich.text import Text
 
-from sonoservo.diagrams.app.run_result import RunResult, reasons_text
+from sonoservo.diagrams.app.run_result import RunResult
 from sonoservo.diagrams.experiments.experiment import Experiment
 from sonoservo.diagrams.scenario import Scenario
 from sonoservo.diagrams.studies.study_report import Study, rows_table
@@ -119,16 +119,6 @@ class VolumeProgress(_Bar):
         """Move the bar."""
         state = f"volume {number + 1} of {self._total}  {'' if estimate is None else estimate.mode}"
         self._bar.update(self._task, completed=number + 1, state=state)
-
-
-def reasons_lines(summary: Mapping[str, Any]) -> list[str]:
-    """Return why volumes gave no needle, and what to change; empty if all gave one."""
-    lines = []
-    if reasons := summary.get("reasons"):
-        lines.append(f"Volumes without a needle: {reasons_text(reasons)}.")
-    if advice := summary.get("advice"):
-        lines.append(f"What to change: {advice}.".replace("?.", "?"))
-    return lines
 
 
 def mode_words(summary: Mapping[str, Any]) -> str:

@@ -20,7 +20,7 @@ _WORST = 4  # number of a tracker's worst sequences that the page shows
 
 _CAPTION = (
     "Share of needles among estimates of a stated probability, with 95 % intervals that take the "
-    "volumes for independent. On the dashed line, what is stated is what is."
+    "volumes for independent. On the dashed line, the stated probability is right."
 )
 
 
@@ -65,10 +65,13 @@ def _page(result: BenchmarkResult, folder: Path, command: str) -> str:
         f"<p>{html.escape(each['suite'])}, seed {each['seed']}: {html.escape(each['error'])}</p>"
         for each in data["failed"]
     ]
-    body.append(Table(["suite", ""], [[n, each.line] for n, each in load_suites().items()]).html())
+    body += [
+        f"<p><b>{html.escape(name)}</b>: {html.escape(each.line)}.</p>"
+        for name, each in load_suites().items()
+    ]
     figures = {_CAPTION: png(plot_reliability(data["reliability"]))}
     facts = (
-        f"{data['sequences']} sequences, salt {data['salt']}. <code>{html.escape(command)}</code>"
+        f"Sequences: {data['sequences']}, salt: {data['salt']}. <code>{html.escape(command)}</code>"
     )
     return web_page("Benchmark of needle trackers", facts, "\n".join(body), figures)
 

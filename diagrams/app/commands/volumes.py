@@ -111,9 +111,10 @@ def _track_stream(
 ) -> None:
     from sonoservo.diagrams.app.live.serve import needle_names, opened
     from sonoservo.diagrams.app.live.track_live import track_live
-    from sonoservo.diagrams.app.terminal import live_table, mode_words, reasons_lines
+    from sonoservo.diagrams.app.terminal import live_table, mode_words
     from sonoservo.diagrams.app.volumes.check import brief_stream_finding
     from sonoservo.diagrams.app.volumes.opening import live_source
+    from sonoservo.systems.evaluation.reports.verdict import reasons_lines
     from sonoservo.systems.live.connection.address import parse_address
 
     place = parse_address(address)
@@ -161,15 +162,11 @@ def _track_file(
     real_time: bool,
     log: Path | None,
 ) -> None:
-    from sonoservo.diagrams.app.terminal import (
-        VolumeProgress,
-        mode_table,
-        mode_words,
-        reasons_lines,
-    )
+    from sonoservo.diagrams.app.terminal import VolumeProgress, mode_table, mode_words
     from sonoservo.diagrams.app.viewed_run import ViewedRun
     from sonoservo.diagrams.app.volumes.opening import open_volumes
     from sonoservo.diagrams.app.volumes.track import track_recording
+    from sonoservo.systems.evaluation.reports.verdict import reasons_lines
 
     recording = open_volumes(path, reading)
     _say_about(recording)

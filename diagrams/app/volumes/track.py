@@ -69,7 +69,7 @@ class TrackedRecording(RunResult):
 
     def plot(self) -> Figure:
         """Return the plot of the estimated tip, which a notebook shows, if there is one."""
-        if not self.rows:
+        if "tip.png" not in self.plots:
             raise ValueError("no volume was tracked, so there is nothing to plot")
         return self.plots["tip.png"][1]
 
@@ -211,14 +211,15 @@ def track_recording(
         if correct_poses:
             summary["pose_errors"] = pose_error_figures(bench.evaluate("pose_errors"))
         unwritten = Unwritten()
-        plots = {}
+        plots: dict[str, tuple[str, Figure]] = {}
         if rows:
-            p_LTip = 1e-3 * np.array([[row[f"tip_{axis}_mm"] for axis in "lps"] for row in rows])
-            tip = plot_tip(np.array(times), estimates, p_LTip, np.array(in_view))
-            plots = {
-                "planes.png": (PLANES_CAPTION, plot_planes(pictures)),
-                "tip.png": (TIP_CAPTION, tip),
-            }
+            plots["planes.png"] = PLANES_CAPTION, plot_planes(pictures)
+            if any(estimates):
+                p_LTip = 1e-3 * np.array(
+                    [[row[f"tip_{axis}_mm"] for axis in "lps"] for row in rows]
+                )
+                tip = plot_tip(np.array(times), estimates, p_LTip, np.array(in_view))
+                plots["tip.png"] = TIP_CAPTION, tip
             if truth is not None:
                 plots["errors.png"] = ERRORS_CAPTION, plot_errors(log)
         result = TrackedRecording(

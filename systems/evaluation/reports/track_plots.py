@@ -121,13 +121,16 @@ def picture_planes(volume: Volume, mode: TrackingMode, curve: NeedleCurve | None
 def plot_planes(pictures: list[VolumePictures]) -> Figure:
     """Return a figure with a column per volume: the slice along the beam above that across it."""
     columns = max(len(pictures), 1)
-    figure = Figure(figsize=(2.6 * columns + 0.8, 5.6), layout="constrained")
-    axes = figure.subplots(2, columns, squeeze=False)
+    rows = max([1, *(len(each.planes) for each in pictures)])
+    figure = Figure(figsize=(2.6 * columns + 0.8, 2.8 * rows), layout="constrained")
+    axes = figure.subplots(rows, columns, squeeze=False)
     for column, pictured in enumerate(pictures):
+        for empty in axes[len(pictured.planes) :, column]:
+            empty.set_visible(False)
         for row, picture in enumerate(pictured.planes):
             picture.draw(axes[row, column])
         axes[0, column].set_title(f"{pictured.time:.1f} s, {pictured.mode}", fontsize=9)
-    for row, name in enumerate(("along the beam, mm", "across the beam, mm")):
+    for row, name in enumerate(("along the beam, mm", "across the beam, mm")[:rows]):
         axes[row, 0].set_ylabel(name, fontsize=9)
     return figure
 

@@ -25,6 +25,7 @@ _ACTS = {
     RunOutcome.INACCURATE: "found and kept, but not accurately",
 }
 
+_REASONS = 3  # number of reasons of lost volumes that are shown
 _SHOWN = 0.5  # time in s from which on it is told that something else was taken for the needle
 
 
@@ -59,9 +60,26 @@ def recording_verdict(summary: Mapping[str, Any]) -> Verdict:
     """Return the verdict on a tracked recording, from its summary."""
     volumes, tracked = summary["volumes"], summary["modes"].get("tracking", 0)
     if not tracked:
-        return Verdict("No needle was found", _missing(summary), "bad")
+        return Verdict("No needle was found", " ".join(reasons_lines(summary)), "bad")
     text = _found(summary)
     return Verdict(f"A needle was tracked in {tracked} of {volumes} volumes", text)
+
+
+def reasons_lines(summary: Mapping[str, Any]) -> list[str]:
+    """Return why volumes gave no needle, and what to change; empty if all gave one."""
+    lines = []
+    if reasons := summary.get("reasons"):
+        lines.append(f"Volumes without a needle: {reasons_text(reasons)}.")
+    if advice := summary.get("advice"):
+        lines.append(f"What to change: {advice}.".replace("?.", "?"))
+    return lines
+
+
+def reasons_text(reasons: Mapping[str, int]) -> str:
+    """Return the most frequent reasons with the numbers of their volumes, on one line."""
+    shown = [f"{count} x {reason}" for reason, count in list(reasons.items())[:_REASONS]]
+    rest = sum(reasons.values()) - sum(list(reasons.values())[:_REASONS])
+    return "; ".join(shown) + (f"; {rest} x others" if rest else "")
 
 
 def _times(count: int) -> str:

@@ -51,8 +51,11 @@ def test_what_went_wrong_comes_first(summary, block, figures, grade, words):
 
 
 def test_recordings_without_truth_have_a_verdict_too():
-    none = recording_verdict({"volumes": 5, "modes": {"searching": 5}})
-    assert str(none) == "No needle was found."
+    told = {"reasons": {"it rains": 5}, "advice": "wait"}
+    none = recording_verdict({"volumes": 5, "modes": {"searching": 5}, **told})
+    assert str(none) == (
+        "No needle was found. Volumes without a needle: 5 x it rains. What to change: wait."
+    )
     some = recording_verdict({"volumes": 5, "modes": {"searching": 2, "tracking": 3}})
     assert str(some) == "A needle was tracked in 3 of 5 volumes."
 
