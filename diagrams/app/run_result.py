@@ -13,9 +13,9 @@ from rich.text import Text
 
 from sonoservo.systems.evaluation.labels import look_up
 from sonoservo.systems.evaluation.reports.plots import png
-from sonoservo.systems.evaluation.reports.report import Story, report_body, write_report
+from sonoservo.systems.evaluation.reports.report import Story, report_body, told, write_report
 from sonoservo.systems.evaluation.reports.verdict import Verdict
-from sonoservo.systems.evaluation.table import Table, cell_text
+from sonoservo.systems.evaluation.table import Table
 from sonoservo.systems.files.writing import Unwritten, write_atomically
 
 _REASONS = 3  # Number of reasons of lost volumes that are shown
@@ -109,8 +109,8 @@ def summary_table(result: RunResult) -> TerminalTable:
         verdict = Text.assemble(headline, f" {result.verdict.text}")
         caption = Text("\n").join([verdict, caption] if caption else [verdict])
     rows = [
-        [label, cell_text(look_up(summary, path)), published.get(path)]
-        for path, label in result.labels.items()
+        [label, look_up(summary, path), published.get(path)]
+        for path, label in told(summary, result.labels).items()
     ]
     table = Table(["quantity", "this run", "paper"], rows).without_empty_columns()
     shown = table.terminal(f"{summary['scenario']}, seed {summary['seed']}", widest=None)

@@ -77,9 +77,9 @@ def following_words(scenario: FollowingScenario, tracker: str = "") -> list[str]
         f"{scenario.station.arm}; it starts {1e3 * probe.height:.0f} mm above the phantom, turned "
         f"by {probe.yaw_deg:g} deg, and acquires {imaging.volume_rate:g} volumes a second, "
         f"{1e3 * imaging.depth:.0f} mm deep, at {1e-6 * imaging.transmit_frequency:g} MHz.",
-        f"{needle_words(hand)} enters {1e3 * -_depth(hand):.0f} mm below the middle of the "
-        f"phantom's top, heads {hand.azimuth_deg:g} deg from the phantom's X axis and "
-        f"{hand.dip_deg:g} deg downwards, and {_pushes(hand)}.",
+        f"{needle_words(hand)} enters {1e3 * -_depth(hand):z.0f} mm below the middle of the "
+        f"phantom's top, heads {hand.azimuth_deg:.3g} deg from the phantom's X axis and "
+        f"{hand.dip_deg:.3g} deg downwards, and {_pushes(hand)}.",
         _motion(scenario),
         f"The tracker is {ran}; the visual servo's gain is {servo.gain:g}/s"
         f"{'' if servo.gain else ', so the probe only presses,'} and the contact force "
@@ -122,5 +122,5 @@ def _motion(scenario: FollowingScenario) -> str:
         sentences.append(f"The phantom is moved {when}.")
     if motion.breathing.peak_to_peak:
         peak, rate = 1e3 * motion.breathing.peak_to_peak, motion.breathing.rate
-        sentences.append(f"It breathes by {peak:g} mm, {60 * rate:g} times a minute.")
+        sentences.append(f"The phantom breathes by {peak:g} mm, {60 * rate:g} times a minute.")
     return " ".join(sentences)

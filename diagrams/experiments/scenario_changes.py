@@ -15,11 +15,12 @@ _HEAD = ("experiment", "name", "description", "published_figures")
 
 
 def base_of(scenario: Scenario) -> tuple[Scenario, str]:
-    """Return the built-in scenario of that name, or all defaults, and its name in words."""
-    if scenario.name in list_scenarios():
-        built_in = load_scenario(scenario.name)
+    """Return the built-in scenario that was changed, or all defaults, and its name in words."""
+    name = scenario.name.removesuffix("_as_published")
+    if name in list_scenarios():
+        built_in = load_scenario(name)
         if type(built_in) is type(scenario):
-            return built_in, f"the built-in scenario {scenario.name}"
+            return built_in, f"the built-in scenario {name}"
     return type(scenario)(), f"the defaults of the experiment {scenario.experiment!r}"
 
 

@@ -50,6 +50,9 @@ def estimate_row(tracked: Tracked, *, posed: bool) -> dict[str, Any]:
     return row
 
 
+_SINGLE = "find the needle in a single volume with sonoservo locate, or record more"
+
+
 class ModeCount:
     """Sink that counts the tracker's modes, and why volumes gave no needle."""
 
@@ -65,11 +68,13 @@ class ModeCount:
 
     def figures(self) -> dict[str, Any]:
         """Return the figures of a summary."""
+        single = self._modes.total() == 1
+        advice = _SINGLE if single else self._lost.advice
         return {
             "volumes": self._modes.total(),
             "modes": dict(sorted(self._modes.items())),
             "reasons": self._lost.words,
-            "advice": "" if self._modes["tracking"] else self._lost.advice,
+            "advice": "" if self._modes["tracking"] else advice,
         }
 
 

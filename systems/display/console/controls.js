@@ -45,7 +45,8 @@ function build() {
     speed.onchange = () => { order({ speed: Number(speed.value) }); speed.blur(); };
     parts.splice(names.includes("step") ? 2 : 1, 0, speed);
   }
-  if (sliders.some((each) => each.keys.length)) {
+  $("driving").hidden = !sliders.some((each) => each.keys.length);
+  if (!$("driving").hidden) {
     const made = button("keys off", "", () => arm(!armed),
       "Let keys move things; a key pressed by mistake moves nothing while this is off");
     made.id = "arm";

@@ -34,7 +34,7 @@ class Reading:
 
     def shown(self) -> list[str]:
         """Return name, label, number and unit as the page shows them; a dash for no number."""
-        text = f"{self.value:.{self.digits}f}".replace("-", "\u2212")
+        text = f"{self.value:z.{self.digits}f}".replace("-", "\u2212")
         return [self.name, self.label, text if math.isfinite(self.value) else "\u2013", self.unit]
 
 

@@ -16,6 +16,8 @@ from sonoservo.systems.evaluation.reports.verdict import Verdict
 from sonoservo.systems.evaluation.table import Code, Table
 from sonoservo.systems.files.writing import write_atomically
 
+_MANY = 20  # changes of another tracker, say, are folded
+
 
 @dataclass(frozen=True, kw_only=True)
 class Change:
@@ -134,7 +136,11 @@ def _scenario_text(story: Story) -> str:
     if story.scenario:
         parts.append(f"<h2>Scenario</h2>\n<p>{html.escape(' '.join(story.scenario))}</p>")
     if story.changes:
-        parts.append(f"<p>Changed from {html.escape(story.base)}:</p>\n{changes_table(story)}")
+        unfolded = " open" if len(story.changes) < _MANY else ""
+        parts.append(
+            f"<details{unfolded}><summary>Changed from {html.escape(story.base)} "
+            f"({len(story.changes)}):</summary>\n{changes_table(story)}</details>"
+        )
     elif story.base:
         parts.append(f"<p>Nothing is changed from {html.escape(story.base)}.</p>")
     if story.command:
@@ -152,30 +158,30 @@ def _figures_text(
     summary: Mapping[str, Any], labels: Mapping[str, str], paper: Mapping[str, float]
 ) -> str:
     """Return the tables of a run's figures, each with the paper's values if it has any."""
-    more = {path: each for path, each in MORE_LABELS.items() if look_up(summary, path) is not None}
     tables = []
-    for heading, group in sections({**labels, **more}).items():
-        shown = {path: label for path, label in group.items() if _is_there(summary, path)}
-        if not shown:
-            continue
+    for heading, shown in sections(told(summary, {**labels, **MORE_LABELS})).items():
         rows = [
             [label, look_up(summary, path), float(paper[path]) if path in paper else ""]
             for path, label in shown.items()
         ]
         compared = any(path in paper for path in shown)
         heads = ["", "this run", "paper"] if compared else ["", ""]
-        body = Table(heads, [row[: len(heads)] for row in rows], missing="–").html()
+        body = Table(heads, [row[: len(heads)] for row in rows]).html()
         tables.append(f"<section><h3>{html.escape(heading)}</h3>\n{body}</section>")
     if not tables:
         return ""
     return '<h2>Figures</h2>\n<div class="tables">' + "\n".join(tables) + "</div>"
 
 
-def _is_there(summary: Mapping[str, Any], path: str) -> bool:
-    """Return True if a summary has an entry at a dotted path, even one without a value."""
-    *parents, last = path.split(".")
-    node = look_up(summary, ".".join(parents)) if parents else summary
-    return isinstance(node, Mapping) and last in node
+def told(summary: Mapping[str, Any], labels: Mapping[str, str]) -> dict[str, str]:
+    """Return the labels of the figures that a summary has; nothing counts from no detection on."""
+    never = "detection" in summary and look_up(summary, "detection.volume") is None
+    since = [f"tracking.{each}" for each in ("volumes", "tracked", "lost_events") if never]
+    return {
+        path: label
+        for path, label in labels.items()
+        if look_up(summary, path) is not None and path not in since
+    }
 
 
 def web_page(title: str, facts: str, body: str, figures: Mapping[str, bytes]) -> str:

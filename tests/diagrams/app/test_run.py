@@ -90,7 +90,7 @@ def test_scenarios_are_put_in_words():
     words = " ".join(following_words(load_scenario("chatelain2013_fig6")))
     assert "pushed by 72 mm at 8 mm/s" in words
     assert "The phantom is moved at 18, 25, 31, 38 s." in words
-    assert "It breathes by 5 mm, 15 times a minute." in " ".join(
+    assert "The phantom breathes by 5 mm, 15 times a minute." in " ".join(
         following_words(load_scenario("clinic"))
     )
     still = " ".join(following_words(load_scenario("chatelain2013_fig4")))
