@@ -17,7 +17,7 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-from sonoservo.diagrams.studies.fingerprint import RECORDS
+from sonoservo.diagrams.studies.fingerprint import OLD, RECORDS
 from sonoservo.diagrams.studies.records import read_records, write_records
 from sonoservo.diagrams.studies.study_report import (
     Study,
@@ -31,9 +31,6 @@ from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.writing import write_atomically
 
 _ROOT = Path(__file__).resolve().parents[2]
-
-OLD = "results.json"
-"""Name of the file of older results without records, which are outdated."""
 
 PAGES = (_ROOT / "README.md", *sorted((_ROOT / "notebooks/docs").glob("results_*.md")))
 """Pages with tables of results."""

@@ -19,8 +19,9 @@ _PARTS = ("systems", "models", "diagrams")
 _SHOWING = ("sonoservo.systems.display", "sonoservo.systems.evaluation.reports")
 """Rooms that only show what a run does: nothing in them makes a result."""
 
-RECORDS = "records.json.gz"
-"""Name of the file of kept results, which are made by the code and no part of it."""
+RECORDS, OLD = "records.json.gz", "results.json"
+"""Names of the files of kept results, which are made by the code and no part of it. The second one
+is of older results without records, which are outdated."""
 
 _PACKAGES = ("sonoservo", "drake", "numpy", "scipy", "numba", "llvmlite", "filterpy")
 """Packages whose versions affect results."""
@@ -43,7 +44,7 @@ def code_fingerprint(*modules: str) -> str:
             module = ".".join(("sonoservo", *names))
             code = path.suffix in (".py", ".pyi")
             counts = not _shows(module) and (not code or reached is None or module in reached)
-            made = path.suffix == ".md" or path.name == RECORDS or "__pycache__" in names
+            made = path.suffix == ".md" or path.name in (RECORDS, OLD) or "__pycache__" in names
             if path.is_file() and counts and not made:
                 content = _without_words(path.read_bytes()) if code else path.read_bytes()
                 digest.update("/".join(names).encode() + b"\0" + content)
