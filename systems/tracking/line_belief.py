@@ -286,7 +286,7 @@ class LineBelief(Immutable):
 
 
 def follow(belief: LineBelief, volume: Volume, *, look: bool = False) -> LineBelief:
-    """Return the belief after another volume; the same if it came too soon to tell more.
+    """Return the belief after another volume; the same if it came too soon to show motion.
 
     Parameters
     ----------
@@ -296,9 +296,9 @@ def follow(belief: LineBelief, volume: Volume, *, look: bool = False) -> LineBel
         Volume, later than the ones before.
     look
         Whether all prominent lines are judged by their looks, not only those that move like a
-        needle.
+        needle. Looks need no motion, so no volume is too soon for them.
     """
-    if belief.memory and volume.time < belief.time + _PACE:
+    if not look and belief.memory and volume.time < belief.time + _PACE:
         return belief
     memory = (*belief.memory[1 - _REMEMBERED :], _remember(volume, belief.memory))
     shown = _shown_at(belief.lines, memory[-1])
