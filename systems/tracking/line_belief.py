@@ -44,7 +44,8 @@ Floats = NDArray[np.float64]
 
 _PACE = 0.5
 """Least time in s from one volume that is followed to the next: a needle that is pushed slowly
-passes most of a bin in it. Over less, it looks like a line at rest whose echo changes a little."""
+passes most of a bin in it. Over less, it looks like a line at rest whose echo changes a little.
+Lines that are judged by their looks need not wait."""
 
 _REMEMBERED = 14
 """Number of volumes that a new line is looked for in, and of times of arrival that are told apart:

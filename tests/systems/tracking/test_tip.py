@@ -182,6 +182,7 @@ def test_the_longer_a_needle_fades_the_less_is_known_about_its_tip():
     lengths = (1e-4, 8e-3, 20e-3)
     ends = [find_extent(faded(0.03, length), PARAMETERS) for length in lengths]
     assert ends[0].tip_std < ends[1].tip_std < ends[2].tip_std
+    assert ends[0].seen > 0.9
     assert abs(ends[2].tip - 0.03) < 3 * ends[2].tip_std
 
 

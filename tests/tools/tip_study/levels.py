@@ -7,13 +7,11 @@ probability to the 3 mm around the true tip; the table shows its mean logarithm 
 
 import argparse
 import itertools
-import os
 from collections import defaultdict
-from functools import partial
 
 import numpy as np
 from numba import njit
-from scipy.ndimage import uniform_filter1d
+from scipy.special import ndtr
 
 from sonoservo.diagrams.experiments.following import FollowingExperiment
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
@@ -25,6 +23,7 @@ from sonoservo.diagrams.papers.chatelain2013.reproduction import (
 )
 from sonoservo.diagrams.scenario import require_scenario
 from sonoservo.systems.recording.volume_collector import VolumeCollector
+from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.tracking import tip
 from sonoservo.systems.tracking.axis import axis_through
 
@@ -39,7 +38,7 @@ KINDS = {
 
 VALUES = {"_NOTHING": (1.8, 2.2, 2.6), "_SPREAD": (0.25, 0.33), "_TREND": (3.5e-3, 5e-3, 8e-3)}
 PARAMETERS = tip.TipParameters()
-NEAR, EVERY, SHORTEST = 3e-3, 3, 12e-3
+NEAR, EVERY, SHORTEST, LEAST = 3e-3, 3, 12e-3, 1e-6
 
 
 def profiles(scenario, changes, seed):
@@ -67,24 +66,14 @@ def profiles(scenario, changes, seed):
 
 def log_probability(profile, end):
     """Return the logarithm of the probability that the tip lies near the true one."""
-    step = float(profile.a[1] - profile.a[0])
-    mean = partial(uniform_filter1d, size=round(PARAMETERS.smoothing / step), mode="nearest")
-    contrast = mean(profile.level) - mean(profile.background)
-    first, last, _ = tip.most_evident_stretch(
-        contrast, profile.seen, step=step, neutral=PARAMETERS.contrast,
-        max_evidence=PARAMETERS.max_evidence,
-    )  # fmt: skip
-    if last < 0 or profile.a[first] > end:
-        return np.log(1e-6)
-    share = step / np.maximum(profile.beam_width, PARAMETERS.smoothing)
-    sigma = profile.beam_width / tip.FWHM_PER_SIGMA
-    logs, beyond, _ = tip._end_logs(contrast, profile.seen, share, sigma, step, first)
-    logs = logs - (profile.a - profile.a[first]) / tip.REACH
-    beyond = beyond - (profile.a[-1] - profile.a[first]) / tip.REACH + np.log(tip.REACH / step)
-    top = max(logs.max(), beyond)
-    weights = np.exp(logs - top)
-    near = weights[np.abs(profile.a - end) < NEAR].sum()
-    return np.log(max(near / (weights.sum() + np.exp(beyond - top)), 1e-6))
+    extent = tip.find_extent(profile, PARAMETERS)
+    if isinstance(extent, NotFound):
+        return np.log(LEAST)
+    first = [extent.seen, 0.0, extent.tip_std]
+    shares, away, stds = np.vstack([first, extent.elsewhere]).T
+    off = end - extent.tip - away
+    near = ndtr((off + NEAR) / stds) - ndtr((off - NEAR) / stds)
+    return np.log(max(shares @ near, LEAST))
 
 
 def main(arguments=None):
@@ -107,5 +96,4 @@ def main(arguments=None):
 
 
 if __name__ == "__main__":
-    os.environ.setdefault("NUMBA_NUM_THREADS", "1")
     main()

@@ -134,8 +134,7 @@ def test_what_is_not_there_is_said_and_the_reason_stands_above(found, failed):
     first, second = describe(found, 2.34e-3).splitlines()
     assert first == "0.00 s, tracking: the needle was confirmed"
     facts = "first detection", "estimated tip 2.3 mm from the true one"
-    seen = f"its tip is seen with a probability of {100 * found.tip_seen:.0f} %"
-    assert second == "; ".join([*facts, seen])
+    assert second == "; ".join([*facts, "its tip is seen with a probability of 100 %"])
     _, beam, cross, _, _ = draw(explained(found=False, prediction=predicted(shift=1.0)))
     texts = [text.get_text() for axes in (beam, cross) for text in axes.texts]
     assert "the slice misses the volume" in texts
