@@ -56,15 +56,7 @@ class Axis:
 def axis_through(
     points: NDArray[np.float64], along: NDArray[np.float64] | None = None
 ) -> Axis | NotFound:
-    """Fit an axis of order n through n points.
-
-    Parameters
-    ----------
-    points
-        (n, 3) points in m.
-    along
-        (3,) principal direction of any length; by default that from the first to the last point.
-    """
+    """Fit an axis of order n through (n, 3) points; ``along`` is by default from first to last."""
     along = points[-1] - points[0] if along is None else along
     length = float(np.linalg.norm(along))
     if not length > 0:
