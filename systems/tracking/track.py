@@ -14,7 +14,7 @@ from sonoservo.systems.signals.needle_prediction import NeedlePrediction
 from sonoservo.systems.tracking.needle_filter import NeedleState
 
 SUREST = 0.999
-"""Largest probability of a needle: something that nobody modelled may look like one."""
+"""Largest probability of a needle: something that is not modelled may look like one."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""The leaf that simulates a scanner with a motorised probe."""
+"""Leaf system that simulates a scanner with a motorised probe."""
 
 import math
 from dataclasses import dataclass, replace

@@ -74,8 +74,8 @@ def advance_drag(
         ds/dt = v - s / tau            while |s| < distance,
         ds/dt = -+ (1 - kept) distance / slip_time     from distance to kept x distance.
 
-    Both are solved in closed form, so the result does not depend on the size of the steps. The
-    needle advances by so many m, negative for a withdrawal, in a duration in s.
+    Both are solved in closed form, so the result does not depend on the size of the steps.
+    ``advance`` is in m, negative for a withdrawal, and ``duration`` in s.
     """
     most, tau = parameters.distance, parameters.relaxation_time
     s, slides = drag
