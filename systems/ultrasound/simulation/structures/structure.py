@@ -105,7 +105,7 @@ class BesideNeedle(Bounded):
     def resolve(
         self, entry: ArrayLike, direction: ArrayLike, reach: float = 0.0
     ) -> NDArray[np.float64]:
-        """Return the (3,) centre in T, in m, of a structure that reaches so far to its surface."""
+        """Return the (3,) centre in T, in m, of a structure with its surface ``reach`` m away."""
         along, across, up = frame_along(np.asarray(direction, dtype=float))
         angle = np.deg2rad(self.angle_deg)
         aside = np.cos(angle) * across + np.sin(angle) * up
