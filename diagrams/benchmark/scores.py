@@ -1,4 +1,4 @@
-"""Scores of a tracker: what became of its sequences, and figures with intervals over them."""
+"""Scores of a tracker: the record of each sequence, and figures with intervals over them."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace

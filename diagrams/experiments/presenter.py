@@ -1,4 +1,4 @@
-"""Base class of what presents the runs of an experiment: words, plots and pictures."""
+"""Base class of the presenters of an experiment's runs: words, plots and pictures."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any, ClassVar

@@ -46,7 +46,7 @@ def presenter_class(name: str) -> "type[Presenter]":
 
 
 def present(experiment: "Experiment[Any]") -> "Presenter":
-    """Return what presents an experiment's run in words, plots and pictures."""
+    """Return the presenter of an experiment's run, for words, plots and pictures."""
     return presenter_class(experiment.scenario.experiment)(experiment)
 
 

@@ -33,7 +33,7 @@ class Verdict(StrEnum):
     NOT_MET = "no"
     UNDECIDED = "undecided"  # the interval crosses the target: more runs would tell
     NOT_MEASURED = "not measured"
-    """No run gave the figure: it was not asked for, or none got so far."""
+    """No run gave the figure: it was not requested, or no run got so far."""
 
 
 def verdict(

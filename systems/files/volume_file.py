@@ -175,7 +175,7 @@ def _times(numbers: Iterable[float]) -> str:
 
 
 class FieldUse(StrEnum):
-    """What becomes of a field of a header."""
+    """Use that the reader makes of a header's field."""
 
     USED = "used"
     CHECKED = "checked"
@@ -281,7 +281,7 @@ def open_data(
     compressed: bool = False,
     skip: int = 0,
 ) -> DataSections:
-    """Open so many bytes of data that files share evenly."""
+    """Open ``size`` bytes of data that files share evenly."""
     each = size // max(len(files), 1)
     if each * len(files) != size or not files:
         raise ConfigurationError(

@@ -1,4 +1,4 @@
-"""What a picture shows of a body, judged by the picture alone."""
+"""Field of view of an image, judged by the image alone."""
 
 from typing import Any
 
@@ -19,8 +19,8 @@ def darkest(intensities: NDArray[Any]) -> float:
 def cut_level(darkest_level: float, decibels_per_level: float) -> float:
     """Return the level below which an image shows nothing; 0 if it shows all.
 
-    From an image whose darkest level that is not black is far above black, dark levels were
-    removed. Black then tells only that something is darker than that.
+    If the darkest level other than black is far above black, dark levels were removed. Black then
+    tells only that something is darker than that.
     """
     cut = np.isfinite(darkest_level) and darkest_level * decibels_per_level > _FAINTEST_CUT
     return darkest_level if cut else 0.0

@@ -169,7 +169,7 @@ class Cluster:
         return [each for each in running if each.done()]
 
     def _collect(self, future: Future, case: Case) -> Finished | Refusal | None:
-        """Return what a worker made of a case; None if it is to be run again."""
+        """Return a worker's answer to a case; None if the case is to be run again."""
         try:
             reply: Finished | Refusal = future.result(timeout=self._patience)
             return reply

@@ -32,17 +32,7 @@ _NO_SHAFT.flags.writeable = False
 
 @dataclass(frozen=True)
 class Indentation(Immutable):
-    """Indentation of the tissue's level top by a sphere.
-
-    Parameters
-    ----------
-    x, y
-        Deepest point of the sphere in T, in m.
-    depth
-        Depth of that point below the undeformed top, in m; 0 for no contact.
-    dome_radius
-        Radius of the sphere, in m.
-    """
+    """Indentation of the tissue's level top by a sphere, deepest at x, y in T, in m."""
 
     x: float = 0.0
     y: float = 0.0
