@@ -2,8 +2,9 @@
 
 The package also exports the functions behind the commands:
 
->>> from sonoservo.diagrams import load_scenario, run >>> result =
-run(load_scenario("chatelain2013_fig5", seed=1)) >>> result.summary["servo"]["at_rest"]
+>>> from sonoservo.diagrams import load_scenario, run
+>>> result = run(load_scenario("chatelain2013_fig5", seed=1))
+>>> result.summary["servo"]["at_rest"]
 
 Its rooms are `trackers`, `experiments`, `studies`, `papers`, `benchmark`, `environment` and `app`.
 The modules outside these rooms import `systems`, `models` and `trackers` only.

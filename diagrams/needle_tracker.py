@@ -30,6 +30,8 @@ def MakeNeedleTracker(
         - measurement
         - detection
         - explanation
+        - lines (of trackers that follow several lines)
+        - lines_explanation (of trackers that follow several lines)
         - volume_check
         - corrected_volume (if it corrects poses)
         - pose_errors (if it corrects poses)

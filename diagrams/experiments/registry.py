@@ -51,7 +51,7 @@ def present(experiment: "Experiment[Any]") -> "Presenter":
 
 
 def make_experiment(scenario: "Scenario", **options: Any) -> "Experiment[Any]":
-    """Make the experiment of a scenario; options are its class's arguments, if asked for."""
+    """Make a scenario's experiment; options are its class's arguments, None or False if unset."""
     kind = experiment_class(scenario.experiment)
     wanted = {
         name: value for name, value in options.items() if value is not None and value is not False

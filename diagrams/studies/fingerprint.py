@@ -29,11 +29,11 @@ _PACKAGES = ("sonoservo", "drake", "numpy", "scipy", "numba", "llvmlite", "filte
 
 @cache
 def code_fingerprint(*modules: str) -> str:
-    """Return a digest of the code that some modules' imports reach, or of all, and of all data.
+    """Return a digest of all data and of the code that some modules import, or of all code.
 
-    Code that only shows results (`_SHOWING`) does not count, nor do docstrings and comments. A
-    class imported by its name at run time is not reached, so modules must import the classes of
-    their experiments.
+    Neither code that only shows results (`_SHOWING`) counts, nor docstrings and comments. The
+    modules must import the classes of their experiments, as imports by name at run time are not
+    followed.
     """
     digest = hashlib.sha256()
     reached = _reached_modules(modules)

@@ -418,7 +418,7 @@ def _shifted(
     poses: NDArray[np.float64],
     delay: float,
 ) -> list[PosedFrame]:
-    """Return frames with the poses that were stamped so much later; those beyond the last go."""
+    """Return frames with poses stamped ``delay`` s later; frames past the last pose drop out."""
     shifted = []
     for frame in sweep:
         at = frame.time + delay

@@ -13,21 +13,14 @@ from sonoservo.systems.tracking.axis import Axis
 
 @dataclass(frozen=True, eq=False)
 class AxisFit:
-    """A least-squares axis with the quantities that give its precision.
-
-    Parameters
-    ----------
-    axis
-        The fitted axis; its origin is the points' weighted centroid.
-    normal_inverse
-        (n, n) inverse of the weighted normal matrix, for weights that sum to one.
-    scatter
-        (3, 3) weighted covariance of the residuals, in m^2; zero along the direction.
-    """
+    """A least-squares axis with the quantities that give its precision."""
 
     axis: Axis
+    """The fitted axis; its origin is the points' weighted centroid."""
     normal_inverse: NDArray[np.float64]
+    """(n, n) inverse of the weighted normal matrix, for weights that sum to one."""
     scatter: NDArray[np.float64]
+    """(3, 3) weighted covariance of the residuals, in m^2; zero along the direction."""
 
     def covariance(self, a: ArrayLike, independent: float) -> NDArray[np.float64]:
         """Return the (3m, 3m) covariance in m^2 of m positions on the axis, extrapolated or not.

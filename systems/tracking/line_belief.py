@@ -48,7 +48,7 @@ passes most of a bin in it. Over less, it looks like a line at rest whose echo c
 Lines that are judged by their looks need not wait."""
 
 _REMEMBERED = 14
-"""Number of volumes in which a new line is looked for, and of times of arrival that are told apart:
+"""Number of volumes in which a new line is looked for, and of distinct times of arrival:
 anything that came before them counts as always there."""
 
 _SHOWS = 0.7

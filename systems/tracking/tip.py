@@ -50,7 +50,7 @@ REACH = 20e-3
 """Mean length in m of what is not seen of a needle, beyond where it was last seen."""
 
 _NEAR, _PLACES = 6e-3, 3
-"""Distance in m within which ends are one end, and number of ends that are told apart."""
+"""Distance in m within which ends are one end, and number of ends that are distinguished."""
 
 _EMPTY = 15.0
 """Level of the background in dB, below that around the needle, at which there is no tissue."""

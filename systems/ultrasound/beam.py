@@ -23,27 +23,26 @@ _MOST_BEAMS = 16
 
 @dataclass(frozen=True, eq=False)
 class Beam(Immutable):
-    """The pulse-echo point spread function as a Gaussian whose widths depend on depth.
+    """The pulse-echo point spread function as a Gaussian whose widths depend on depth."""
 
-    A point at lateral offset l, elevation offset e and depth d from a line's axis echoes with
-
-        exp(-l^2 / (2 sigma_l^2) - e^2 / (2 sigma_e^2)) exp(-2i (2 pi / wavelength) p),
-        p = d + curvature e^2 / 2
-
-    at the path p, and the echo's envelope along the line is exp(-(path - p)^2 / (2 sigma_a^2)).
-    Each sigma is chosen for the true full width at half amplitude (-6 dB), which follows from the
-    aperture integrals. Widths are in m, curvatures in 1/m.
-    """
+    # A point at lateral offset l, elevation offset e and depth d from a line's axis echoes with
+    #
+    #     exp(-l^2 / (2 sigma_l^2) - e^2 / (2 sigma_e^2)) exp(-2i (2 pi / wavelength) p),
+    #     p = d + curvature e^2 / 2
+    #
+    # at the path p, and the echo's envelope along the line is exp(-(path - p)^2 / (2 sigma_a^2)).
+    # Each sigma is chosen for the true full width at half amplitude (-6 dB), which follows from the
+    # aperture integrals.
 
     wavelength: float
     axial: float
-    """Standard deviation sigma_a."""
+    """Standard deviation sigma_a in m."""
     lateral: NDArray[np.float64]
-    """(samples,) standard deviations sigma_l at every sample's depth."""
+    """(samples,) standard deviations sigma_l in m at every sample's depth."""
     elevation: NDArray[np.float64]
-    """(samples,) standard deviations sigma_e."""
+    """(samples,) standard deviations sigma_e in m."""
     curvature: NDArray[np.float64]
-    """(samples,) curvature of the wave fronts in elevation."""
+    """(samples,) curvature of the wave fronts in elevation, in 1/m."""
     side_lobes: float
     """Amplitude of a rod's echo through the side lobes, relative to that through the Gaussian."""
 

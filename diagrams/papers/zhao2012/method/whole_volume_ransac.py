@@ -153,7 +153,7 @@ def explain_whole_volume_localization(
     parameters: WholeVolumeLocalizationParameters,
     rng: np.random.Generator,
 ) -> LocalizationExplanation:
-    """Localize the needle by `localize_in_whole_volume`, whatever was predicted."""
+    """Localize the needle by `localize_in_whole_volume`, towards the prediction's direction."""
     if isinstance(prediction, NotFound):
         return LocalizationExplanation(volume.time, prediction, (), prediction)
     assert prediction.curve is not None
