@@ -84,13 +84,7 @@ def _calibrated(tracker: Diagram, corrector: PoseCorrector) -> Diagram:
 
 
 def require_tracker(tracker: object) -> System | None:
-    """Return a custom tracker, or None, after checking that it is a system with a tracker's ports.
-
-    Raises
-    ------
-    ConfigurationError
-        If it is something else, or lacks a port.
-    """
+    """Return a custom tracker, or None; ConfigurationError if it lacks a tracker's ports."""
     if tracker is None:
         return None
     if not isinstance(tracker, System):

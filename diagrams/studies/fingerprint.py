@@ -31,9 +31,8 @@ _PACKAGES = ("sonoservo", "drake", "numpy", "scipy", "numba", "llvmlite", "filte
 def code_fingerprint(*modules: str) -> str:
     """Return a digest of all data and of the code that some modules import, or of all code.
 
-    Neither code that only shows results (`_SHOWING`) counts, nor docstrings and comments. The
-    modules must import the classes of their experiments, as imports by name at run time are not
-    followed.
+    Docstrings, comments and code that only shows results (`_SHOWING`) do not count. Imports by name
+    at run time are not followed, so the modules must import the classes of their experiments.
     """
     digest = hashlib.sha256()
     reached = _reached_modules(modules)

@@ -29,9 +29,10 @@ def next_correlation(
     """Return the (4, m) correlation after one more step, and the latency in s, or NaN if unknown.
 
     `expected` and `measured` are changes since the last step, in N, of the force that moves the
-    probe's mass as commanded and of the wrist's force. A lag is believed if it explains nearly all
-    of the latter at the expected size; a contact that changes meanwhile leaves the latency unknown.
+    probe's mass as commanded and of the wrist's force.
     """
+    # A lag is believed if it explains nearly all of the measured force at the expected size. A
+    # contact that changes meanwhile leaves the latency unknown.
     # For each of m lags, the state holds the last changes of the expected force, and sums of their
     # products with those of the measured one, of their squares, and of the latter's squares.
     after = np.empty_like(state)

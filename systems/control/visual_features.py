@@ -41,10 +41,9 @@ def servo_velocity(
 ) -> NDArray[np.float64]:
     """Return the velocity (v_x, v_z, omega_y) of P, in P, that brings the features to zero.
 
-    v_c = -L_s^+ (gain e + rates), in m/s and rad/s (eqs. 24, 25). The wanted features are zero, so
-    e = s. The rates are those at which the features change while the probe stands still, zero in
-    the paper. Without `rotate`, Theta is not controlled: for a needle along the beam, it is
-    undefined.
+    v_c = -L_s^+ (gain e + rates) in m/s and rad/s (eqs. 24, 25), where e = s and the rates, zero in
+    the paper, are those of the features while the probe is at rest. Without `rotate`, Theta is not
+    controlled.
     """
     wanted = -(gain * features + np.asarray(rates))
     if not rotate:

@@ -24,9 +24,9 @@ _STREAMS = ("/dev/", "/proc/")
 def write_atomically(path: str | Path, data: bytes | str) -> Path:
     """Write bytes, or text as UTF-8, atomically: a reader sees the old file or the new one.
 
-    The folder is made if necessary. A symbolic link stays a link, and the file that it leads to is
-    written. Devices, pipes and files with several names are written into, never replaced. An
-    OSError names the file. Returns its path.
+    The folder is made if necessary. A symbolic link's target is written. Devices, pipes and files
+    with several names are written into, never replaced. An OSError names the file. Returns its
+    path.
     """
     path = Path(path)
     content = data.encode() if isinstance(data, str) else data

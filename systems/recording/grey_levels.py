@@ -186,10 +186,8 @@ def window_of_first(volumes: Iterable[NDArray[Any]], enough: int) -> tuple[GreyW
 class GreyLevels:
     """Turns the numbers of a stream's volumes into grey levels, with one window for all of them.
 
-    Unless it is given, the window covers those of the last volumes that showed something
-    (`choose_window`), and is None before; a volume without contrast is black. Unless it is `held`,
-    as while something is tracked, it follows a change by a quarter: the first volume may have been
-    dim, or a test picture.
+    A window that is not given covers the last volumes that showed something (`choose_window`).
+    Unless it is `held`, as while something is tracked, it follows a change by a quarter.
     """
 
     def __init__(self, window: tuple[float, float] | None = None) -> None:

@@ -27,18 +27,16 @@ class KnownTransform(Immutable):
 
 @dataclass(frozen=True)
 class PlusConfiguration(Immutable):
-    """Transforms by name, such as ``ImageToProbe``, and settings of a device-set configuration.
-
-    `time_offset` is the time in s by which the images' devices are set back against the trackers'
-    (``LocalTimeOffsetSec``), which PLUS has applied to what it records and sends. `clip` is first
-    pixel and size, (i, j, ni, nj), of the part of a frame that shows tissue
-    (``ClipRectangleOrigin``, ``ClipRectangleSize``), if stated.
-    """
+    """Transforms by name, such as ``ImageToProbe``, and settings of a device-set configuration."""
 
     transforms: dict[str, KnownTransform] = field(default_factory=dict)
     orientation: str = ""
     time_offset: float = 0.0
+    """Time in s by which the images' devices are set back against the trackers'
+    (``LocalTimeOffsetSec``), which PLUS has applied to what it records and sends."""
     clip: tuple[int, int, int, int] | None = None
+    """First pixel and size, (i, j, ni, nj), of the part of a frame that shows tissue
+    (``ClipRectangleOrigin``, ``ClipRectangleSize``), if stated."""
 
     @property
     def matrices(self) -> dict[str, NDArray[np.float64]]:

@@ -124,9 +124,9 @@ def sample_grid(
 ) -> NDArray[np.float32]:
     """Return (...) values of an image in 2D or 3D at (..., 2) or (..., 3) points.
 
-    Element [i, j, k] lies at ``origin + spacing * (i, j, k)``; there are two or more along each
-    axis. Points outside, and those that are NaN, have the value ``outside``; if it is None, those
-    outside have that of the nearest point on the edge, and NaN stays NaN.
+    Element [i, j, k] lies at ``origin + spacing * (i, j, k)``. Points outside and NaN have the
+    value ``outside``; if it is None, those outside have that of the nearest edge, and NaN stays
+    NaN.
     """
     points = np.asarray(points, dtype=float)
     values = np.empty(points.shape[:-1], np.float32)

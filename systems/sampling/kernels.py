@@ -22,12 +22,10 @@ They do not count references to the arrays that they read, which takes longer th
 
 @njit(cache=True, nogil=True)
 def scattered(index: Any) -> Any:  # pragma: no cover - compiled
-    """Return a whole number below 2^32 for a voxel's flat index, without pattern in space.
-
-    Of equal voxels, those with the smallest number are taken. That prefers no part of the volume,
-    and unlike a random draw, one tie more or less changes no other choice. No two indices below
-    2^32 have the same number (the finalizer of MurmurHash3, Appleby 2011).
-    """
+    """Return a whole number below 2^32 for a voxel's flat index, without pattern in space."""
+    # Of equal voxels, those with the smallest number are taken. That prefers no part of the volume,
+    # and unlike a random draw, one tie more or less changes no other choice. No two indices below
+    # 2^32 have the same number (the finalizer of MurmurHash3, Appleby 2011).
     number = np.uint64(index)
     for shift, factor in ((16, 0x85EBCA6B), (13, 0xC2B2AE35), (16, 1)):
         number ^= number >> np.uint64(shift)

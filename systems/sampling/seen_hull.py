@@ -29,12 +29,12 @@ def cut_level(darkest_level: float, decibels_per_level: float) -> float:
 def seen_hull(intensities: NDArray[Any]) -> NDArray[np.bool_]:
     """Return (nx, ny, nz) flags of the voxels seen by an image of unknown field of view.
 
-    These are the convex hull of what is not black, as dark cysts, shadows and water lie in it. A
-    probe's face bulges into the body and dents the hull. If most of the hull echoes, what is dark
-    before the first echo along Y (the direction of sound), or beside the outermost echoes along X
-    and Z, counts as not seen. If little of it echoes, darkness tells nothing. All of a black image
-    counts as seen.
+    If the image is all black, all voxels count as seen.
     """
+    # What is seen is the convex hull of what is not black, as dark cysts, shadows and water lie in
+    # it. A probe's face bulges into the body and dents the hull. If most of the hull echoes, what
+    # is dark before the first echo along Y (the direction of sound), or beside the outermost echoes
+    # along X and Z, is therefore not seen. If little of it echoes, darkness tells nothing.
     bright = intensities > 0
     rows = bright.any(axis=0)
     if not rows.any():

@@ -258,10 +258,11 @@ def class_logs(
 ) -> Floats:
     """Return (n, 5) log evidence of each line: needle from either end, resting, riding, appeared.
 
-    The visible part of a smooth line at rest depends on the angle of the sound. Its end rests or
-    slides like one of the `GLINTS`, as the image moves by ``passing`` (n, t) bins along the line;
-    both are as probable. ``logs`` are as of `add_volume`, and ``moves`` are `advances`.
+    ``logs`` are as of `add_volume`, ``moves`` are `advances`, and ``passing`` (n, t) is the motion
+    of the image along the line in bins.
     """
+    # The visible part of a smooth line at rest depends on the angle of the sound: its end rests, or
+    # slides like one of the `GLINTS`. Both are as probable.
     all_moves = np.broadcast_to(moves, (logs.shape[1], *moves.shape))
     hand, probe = _hand(len(moves)), _hand(len(GLINTS))
 

@@ -92,10 +92,11 @@ def select_candidates(
 ) -> Candidates:
     """Select the brightest voxels around a predicted axis in P (Chatelain 2013, eq. 15).
 
-    The region follows the axis from ``start`` to ``stop`` (m). Each slab across it has a threshold
-    of its own, by which ``cross_section`` (m^2) is filled: the needle is some 20 dB brighter where
-    the sound meets it at a right angle, and a common threshold would select voxels there only.
+    The region follows the axis from ``start`` to ``stop`` (m).
     """
+    # Each slab across it has a threshold of its own, by which ``cross_section`` (m^2) is filled:
+    # the needle is some 20 dB brighter where the sound meets it at a right angle, and a common
+    # threshold would select voxels there only.
     ends = axis.position(np.linspace(start, stop, 9))
     lower = np.floor((ends.min(axis=0) - radius - volume.origin) / volume.spacing)
     upper = np.ceil((ends.max(axis=0) + radius - volume.origin) / volume.spacing) + 1

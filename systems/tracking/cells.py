@@ -127,10 +127,11 @@ def tissue_shift(
 ) -> tuple[Floats, Floats]:
     """Return the (3,) shift of the tissue in m, in P before, and (3, 3) information about it.
 
-    Breath, a late pose and a wrong calibration shift all tissue alike (Lucas and Kanade 1981, with
-    the weights of a Cauchy distribution). What lies at p now lay at ``X_BN`` p + shift. Of the
-    results from all ``starts``, the one with the smallest difference counts.
+    What lies at p now lay at ``X_BN`` p + shift. Of the results from all ``starts``, the one with
+    the smallest difference counts (Lucas and Kanade 1981, with the weights of a Cauchy
+    distribution).
     """
+    # Breath, a late pose and a wrong calibration shift all tissue alike.
     M = X_BN[:3, :3] * now.edges / before.edges[:, np.newaxis]
     offset = (X_BN[:3, :3] @ now.origin + X_BN[:3, 3] - before.origin) / before.edges
     best, information, least = np.zeros(3), np.zeros((3, 3)), np.inf

@@ -252,11 +252,11 @@ def ransac_axis(
 ) -> RansacResult | NotFound:
     """Fit an axis by random sample consensus (Chatelain 2013, eqs. 17-22; Uhercik 2010).
 
-    As many samples are drawn as eq. 21 requires for the best inlier ratio so far, times a factor.
-    One is rejected unevaluated if its points nearly coincide, if it bends too much, or if it is off
-    ``direction`` by more than ``max_angle`` rad (eq. 22). The winner is refitted on re-selected
-    inliers.
+    A sample is rejected unevaluated if its points nearly coincide, if it bends too much, or if it
+    is off ``direction`` by more than ``max_angle`` rad (eq. 22).
     """
+    # As many samples are drawn as eq. 21 requires for the best inlier ratio so far, times a factor.
+    # The winner is refitted on re-selected inliers.
     require(order in (2, 3), "order", order, "2 or 3")
     parameters = parameters or RansacParameters()
     if len(points) <= order:

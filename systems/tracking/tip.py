@@ -182,12 +182,10 @@ def most_evident_stretch(
 
 
 def find_extent(profile: AxisProfile, parameters: TipParameters) -> NeedleExtent | NotFound:
-    """Find the ends of a needle along its axis (Chatelain 2013, end of section II-D).
-
-    It begins where the `most_evident_stretch` does. Its tip is a change point: the contrast follows
-    the needle's level so far, which may fade, up to a blurred end with nothing beyond. Where the
-    needle has faded before, the contrast does not tell where it ends.
-    """
+    """Find the ends of a needle along its axis (Chatelain 2013, end of section II-D)."""
+    # It begins where the `most_evident_stretch` does. Its tip is a change point: the contrast
+    # follows the needle's level so far, which may fade, up to a blurred end with nothing beyond.
+    # Where the needle has faded before, the contrast does not tell where it ends.
     step = float(profile.a[1] - profile.a[0])
     samples = max(1, round(parameters.smoothing / step))
     level = uniform_filter1d(profile.level, samples, mode="nearest")

@@ -72,8 +72,7 @@ class Phantom:
     """A phantom with a needle, and a probe at rest above it; ``seed`` is that of all scatterers.
 
     T is the world frame. The needle consists of scatterers that move with it, 22 dB above the
-    tissue's where the beam lies inside the needle. The tissue does not deform. The lines contain
-    electronic noise.
+    tissue's where the beam lies inside the needle. The tissue is rigid. The lines contain noise.
     """
 
     def __init__(self, needle: StraightNeedle, seed: int) -> None:

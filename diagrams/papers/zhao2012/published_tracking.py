@@ -41,9 +41,8 @@ class PublishedResult:
 class PublishedTracking:
     """The published method, called for each volume; ``towards`` as in `Tracking`.
 
-    The search region of the speckle tracking lies around the known tip, as printed; a match at its
-    border does not count. The best match counts, however badly it correlates, and nothing gates a
-    velocity. The first two volumes give RANSAC's result and initialize the filter.
+    The search region lies around the known tip, as printed. A best match at its border does not
+    count, any other does, and no velocity is gated. The first two volumes give RANSAC's result.
     """
 
     def __init__(self, towards: Floats, seed: int, noise: Noise | None = None) -> None:

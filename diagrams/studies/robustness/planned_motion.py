@@ -50,8 +50,8 @@ _STEEPEST = np.deg2rad(80)
 class MotionPlan:
     """Poses of probe and phantom over time, planned from where the needle will be.
 
-    The probe rests during the first push, so that every tracker meets the needle at rest, comes
-    over the tip in 3 s, turns its image to the needle, and follows. It rides on the phantom as it
+    The probe rests during the first push, so that every tracker meets the needle at rest. It comes
+    over the tip in 3 s, turns its image to the needle, follows it, and rides on the phantom as it
     breathes.
     """
 

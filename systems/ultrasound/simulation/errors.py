@@ -158,9 +158,8 @@ def repeat_lost_frames(
 class Reception(Immutable, Generic[T]):
     """Sweeps on their way through a program that processes one at a time.
 
-    When the program is done with a sweep, it takes the newest that has arrived, and drops those
-    acquired before it. A program with a single thread that always wants the newest picture does so,
-    such as `sonoservo track` on a live connection.
+    After each sweep, it takes the newest that has arrived and drops the older ones, as `sonoservo
+    track` does on a live connection.
     """
 
     coming: tuple[tuple[float, T], ...] = ()

@@ -23,11 +23,11 @@ _NO_LINES = NotFound("no lines are followed")
 
 @dataclass(frozen=True, kw_only=True)
 class PublishedLifecycle:
-    """Life of a track as Chatelain 2013, section II describes it.
+    """Life of a track as in Chatelain 2013, section II.
 
-    One admissible entry point starts the search for the needle around it; a later one replaces it.
-    Once the needle is visible with a certain length it is tracked: every measurement corrects the
-    filter, without a gate on its innovation. A lost needle is not searched for.
+    An admissible entry point starts the search around it; a later one replaces it. Once the needle
+    is visible with a certain length, every measurement corrects the filter. A lost needle is not
+    sought.
     """
 
     gate: ClassVar[None] = None

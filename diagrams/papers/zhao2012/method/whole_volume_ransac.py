@@ -110,10 +110,10 @@ def localize_in_whole_volume(
 ) -> WholeVolumeNeedle | NotFound:
     """Localize the needle in a whole volume as published (Zhao 2012, section 2.2; Uhercik 2010).
 
-    The axis is the line through two of the brightest voxels that has the most others nearby,
-    optimized on those. The intensity along it ends at the tip, but for tolerated gaps. ``towards``
-    is the needle's rough (3,) direction in W.
+    ``towards`` is the needle's rough (3,) direction in W.
     """
+    # The axis is the line through two of the brightest voxels that has the most others nearby,
+    # optimized on those. The intensity along it ends at the tip, but for tolerated gaps.
     if volume.intensities.min() == volume.intensities.max():
         return NotFound("the volume is constant")
     count = round(parameters.candidate_volume / float(np.prod(volume.spacing)))

@@ -21,12 +21,10 @@ class LineKernel(NamedTuple):
 
 
 def line_kernel(line_sigma: NDArray[np.float64], lines: int) -> LineKernel:
-    """Return the weights that widen the deposits' B-spline to the beam.
-
-    At every depth, a sampled Gaussian is chosen. Together with the deposits' spline, it has the
-    beam's energy and the beam's correlation between neighbouring lines, averaged over all positions
-    between lines.
-    """
+    """Return the weights that widen the deposits' B-spline to the beam."""
+    # At every depth, a sampled Gaussian is chosen. Together with the deposits' spline, it has the
+    # beam's energy and the beam's correlation between neighbouring lines, averaged over all
+    # positions between lines.
     half = min(int(np.ceil(3 * line_sigma.max())), lines // 4)
     offsets = np.arange(-half, half + 1)
     spline = np.array([1, 26, 66, 26, 1]) / 120  # autocorrelation of the quadratic B-spline
