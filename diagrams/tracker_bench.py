@@ -60,7 +60,7 @@ def MakeTrackerBench(
     explain
         Folder of the run in which the tracker's searches around a loss are kept, if any.
     period, offset
-        Period and offset in s of the looks for a new estimate: shortly after the tracker's events.
+        Period and offset in s of the checks for a new estimate: shortly after the tracker's events.
     """
     builder = DiagramBuilder()
     builder.AddNamedSystem("needle_tracker", tracker)

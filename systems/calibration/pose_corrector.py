@@ -92,7 +92,7 @@ class PoseCorrector(LeafSystem):
 
 
 class HandEyeCorrector(LeafSystem):
-    """Outputs the pose of the image where a robot has that of its probe.
+    """Outputs the pose of the image in place of the robot's pose of its probe.
 
     .. pydrake_system::
 

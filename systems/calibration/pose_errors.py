@@ -1,10 +1,10 @@
 """Delay of the probe's poses, and error of its hand-eye calibration, from tissue that stands still.
 
 A pose that is right puts a piece of tissue at the same place in W whenever it is seen. If poses are
-late by tau, and the image is not where the calibration has it, the true pose is
+late by tau, and the image is not where the calibration puts it, the true pose is
 X_true = X exp(tau V) exp(xi), with the pose X that a volume carries, the probe's velocity V in P
 and a small displacement xi = (r, s) of the image in P. To first order, tissue at q in P then seems
-to be at p' = p - R (s + r x q + tau (v + omega x q)). What it seems to move between two volumes is
+to be at p' = p - R (s + r x q + tau (v + omega x q)). Its apparent motion between two volumes is
 linear in the seven unknowns.
 """
 

@@ -141,7 +141,7 @@ class ForceController(LeafSystem):
     v_y = K_p (F* - F) + K_i int (F* - F) dt, with F the filtered force of the probe along its Y
     axis, compensated for the probe's weight. `wrist_force` is the SpatialForce of the arm on the
     probe in P, and `X_WP` is a RigidTransform. `force_target` is F* in N and replaces the
-    parameter's value, unless it is no number above the force of touch. `approach_scale` is a factor
+    parameter's value if it is a number above the force of touch. `approach_scale` is a factor
     on the highest speed towards the phantom. While `held` is not zero, the arm does not follow the
     law, and the integral is zero.
     `approach_velocity` is v_y of P in P, in m/s, and `pressing_force` is F in N.

@@ -125,7 +125,7 @@ class VisualServo(LeafSystem):
 
     v_c = -L_s^+ (lambda s + rates), with s = (X_tip, Z_tip, Theta). `estimate` is a NeedleEstimate
     and `X_WP` a RigidTransform. `gain` is lambda in 1/s and replaces the parameter's value;
-    nothing is followed while it is no number of at least 0.
+    nothing is followed unless it is a number of at least 0.
     `planar_velocity` is (v_x, v_z, omega_y) of P, in P, in m/s and rad/s. `hold_reason` tells why a
     tracked needle is not followed; it is an empty text otherwise. The system has no state. Between
     two estimates the features still follow the probe's own motion, and with feed-forward the

@@ -3,15 +3,15 @@
 Unlike `SteeredPath`, the shaft does not follow the tip. The needle is a beam of stiffness EI,
 clamped in its template at x = 0 and held by the tissue, an elastic foundation of stiffness k
 (Glozman and Shoham 2007; Roesthuis et al. 2012). The foundation is at rest along the cut. With
-every step, the tip, which lies at the end of its cut, cuts on along its own tangent and a bevel's
-slope aside. The shaft, which presses against its cut, cuts sideways through a part of what is
+every step, the tip, at the end of its cut, cuts on along its own tangent, turned aside by the
+bevel's slope. The shaft presses against its cut, and cuts sideways through a part of what is
 between them. The deflection w and the cut c satisfy
 
     EI w'''' + k (w - c) = 0,    w(0) = w'(0) = 0,    w(L) = c(L),    w''(L) = 0,
     c(L + ds) = w(L) + (w'(L) +- slope) ds,    dc = (w - c) ds / yield length.
 
 All deflections are proportional to the slope. Its value follows from a radius R: a needle of 0.1 m
-that was never turned is as far aside as an arc of that radius.
+that was never turned is deflected as far as an arc of that radius.
 """
 
 from dataclasses import dataclass

@@ -18,7 +18,7 @@ class TrackParameters:
     Parameters
     ----------
     act
-        Probability of being a needle from which on a line is followed by filter and robot.
+        Least probability of being a needle at which filter and robot follow a line.
     gate
         Probability that a true measurement passes the gate on the innovation.
     volumes_to_lose

@@ -178,7 +178,7 @@ class ScanConversion:
     def convert(self, samples: NDArray[np.uint8], direction: int) -> NDArray[np.uint8]:
         """Interpolate the (frames, lines, samples) of a probe at rest, trilinearly and rounded.
 
-        The (nx, ny, nz) grey levels are zero where not both directions of the motor sweep.
+        The (nx, ny, nz) grey levels are zero except where both directions of the motor sweep.
         """
         volume = np.zeros(self.grid.shape, np.uint8)
         resample(

@@ -1,6 +1,6 @@
 """Reproduction of Zhao, Liebgott and Cachard (Acoustics 2012), and their tracker in a closed loop.
 
->>> sonoservo reproduce zhao2012 --quick
+Run it by ``sonoservo reproduce zhao2012``; ``--quick`` makes a short one.
 """
 
 from collections.abc import Mapping, Sequence

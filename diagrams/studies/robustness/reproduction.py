@@ -1,8 +1,7 @@
 """Study of robustness: one dial at a time, a clinic, withdrawals, and volumes without a needle.
 
-The whole study of 886 runs takes about two hours on 2 cores, estimated from 524 of them made in
-75 min. A scene of the open loop takes 11 s of processor time (41 volumes, three trackers), and 20 s
-in the clinic without a needle 35 s with our tracker alone.
+The whole study of 886 runs takes about two hours on 2 cores, estimated from 524 of them made in 75
+min.
 """
 
 from collections.abc import Mapping

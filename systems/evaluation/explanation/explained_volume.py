@@ -323,7 +323,7 @@ class ExplanationRecorder(LeafSystem):
 
     A volume is kept when the tracker's mode changes, at the first detection and when the tip jumps
     (`find_occasion`), with some before and after it. `explanation` is evaluated after the tracker's
-    update, when the gate has judged, which localizes the needle once more. A run removes the files
+    update, when the gate has judged; this localizes the needle once more. A run removes the files
     of an earlier one.
 
     Parameters

@@ -236,7 +236,7 @@ class PictureRecorder(LeafSystem):
         - volume
         - estimate
 
-    A volume's pictures take 20 KB and 3 ms. Beyond 400, every second of the older ones is dropped.
+    A volume's pictures take 20 KB and 3 ms. Beyond 400, every other one of the older is dropped.
 
     Parameters
     ----------

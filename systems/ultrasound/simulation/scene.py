@@ -52,7 +52,7 @@ class _Pulse:
 class Scene:
     """Structures of a tissue, prepared for one beam.
 
-    Geometry has lengths in the tissue; levels of surfaces hold at the sample ``reference``.
+    Lengths are those in the tissue; levels of surfaces hold at the sample ``reference``.
     ``regions`` and ``pieces``, which may be None, are for the kernels.
     """
 
