@@ -31,8 +31,8 @@ _PACKAGES = ("sonoservo", "drake", "numpy", "scipy", "numba", "llvmlite", "filte
 def code_fingerprint(*modules: str) -> str:
     """Return a digest of all data and of the code that some modules import, or of all code.
 
-    Docstrings, comments and code that only shows results (`_SHOWING`) do not count. Imports by name
-    at run time are not followed, so the modules must import the classes of their experiments.
+    Docstrings, lines of comment and code that only shows results (`_SHOWING`) do not count. Imports
+    by name at run time are not followed, so the modules must import their experiments' classes.
     """
     digest = hashlib.sha256()
     reached = _reached_modules(modules)

@@ -95,8 +95,8 @@ _TYPICAL, _OUTLYING = 0.1e-3, 0.3e-3
 # Median distance in m by which blocks are off, with corrected poses, if tissue stands still. It
 # was 0.2 mm in runs in which it did, and 2.4 to 2.8 mm with 5 mm of breathing.
 _STILL = 0.6e-3
-# Standard deviations of what can be expected: a delay in s, a translation in m and a rotation in
-# rad. They matter where the probe's motion tells little.
+# Standard deviations of the expected errors: delay in s, translation in m and rotation in rad.
+# They matter where the probe's motion tells little.
 _PRIOR = np.array([0.2, 3e-3, 3e-3, 3e-3, 0.03, 0.03, 0.03])
 _DEGREE = 3  # Degree of the polynomial through the poses of a sweep
 _LEAST_PAIRS = 8  # Number of pairs of volumes without which nothing is said
@@ -240,8 +240,8 @@ def estimate_pose_errors(equations: Sequence[PoseEquations]) -> PoseErrors | Not
 
 
 _VOLUMES, _PAIRS = 12, 60  # Largest numbers of earlier volumes and of pairs that are kept
-# Motion between two volumes in m and rad that tells most. After more of it, the speckle is
-# another one; after less, the errors hardly show.
+# Motion between two volumes in m and rad that tells most. After more of it, the speckle has
+# changed; after less, the errors hardly show.
 _TRANSLATION, _ROTATION = 3e-3, math.radians(4.0)
 # Smallest and largest motion between two volumes that are compared, relative to those.
 _LEAST, _MOST = 0.1, 2.0

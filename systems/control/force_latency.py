@@ -12,7 +12,7 @@ LONGEST = 0.4
 """Longest latency in s that is measured."""
 
 _MEMORY = 1.0  # Time in s over which a measurement is remembered
-# Change of force in N from which on an expected pulse stands out from the sensor's noise.
+# Change of force in N above which an expected pulse stands out from the sensor's noise.
 _FELT = 0.1
 # Least share of the measured energy, and largest relative error of the size, of a believed lag.
 _EXPLAINED, _ALIKE = 0.8, 0.4

@@ -19,7 +19,7 @@ from sonoservo.systems.control.guard_sight import (
 WINDOW = 0.02  # time in s over which accelerations are averaged
 MAX_DOUBTS = 3  # times that an instrument is found wrong after which a person must confirm
 
-# Time in s for which the force must be too much: the probe's inertia pushes for less.
+# Time in s for which the force must be too much: a push by the probe's inertia is shorter.
 _PULSE = 0.015
 # Change of the pressing force between two samples in N that is noted: in 10 ms, a body that comes
 # at 5 cm/s or slower changes it less.

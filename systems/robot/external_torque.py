@@ -60,7 +60,7 @@ class ExternalTorque(LeafSystem):
         tickets = self.all_input_ports_ticket(), self.xd_ticket(), self.time_ticket()
         declare_output(self, "external_torque", n, self._calc_external_torque, tickets)
         # The plant steps in such an event too, and both see the state before it: the velocities
-        # kept here are those of the step before, whoever evaluates the output.
+        # kept here are those of the step before, whatever evaluates the output.
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0, self._update)
 
     def _calc_external_torque(self, context: Context, output: BasicVector) -> None:

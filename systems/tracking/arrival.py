@@ -218,7 +218,7 @@ def _class_logs(  # pragma: no cover - compiled
         result[n, 2] = before[bins]
         result[n, 3] = _stretches(np.exp(_SHARE * riding[n]))[bins]
         # No needle is more probable than if each bin had arrived at its own best time. One that is
-        # less so than a line at rest is none, and its probability is not computed in full.
+        # less probable than a line at rest needs no probability in full.
         if bound < max(result[n, 2], result[n, 3]):
             result[n, 0] = result[n, 1] = bound
             continue

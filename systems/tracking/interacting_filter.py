@@ -230,7 +230,7 @@ class InteractingFilter:
         if dt <= 0:
             return state
         left, jerks = 1 - math.exp(-dt / self.lasting), 1 - math.exp(-dt / self.calm)
-        # From a motion to another, by column; a jerk begins from any of the others, and rarely.
+        # From one motion to another, by column; a jerk begins from any of the others, and rarely.
         switch = (1 - 1.5 * left) * np.eye(4) + 0.5 * left
         switch[:3, :3] *= 1 - jerks
         switch[:, 3], switch[3] = left / 3, jerks

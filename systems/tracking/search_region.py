@@ -19,11 +19,11 @@ _LOST = 1.0
 """Logarithm of the odds that a needle lost a short while ago is still there."""
 
 _BRIGHT_SHARE, _LEAST_TURN = 0.7, 0.3
-"""Share of the largest evidence from which on a needle is bright, and share of the largest angle
+"""Share of the largest evidence above which a needle is bright, and share of the largest angle
 that is left for the faintest."""
 
 _LONG = 20e-3
-"""Length in m from which on the direction of a needle is known."""
+"""Length in m above which the direction of a needle is known."""
 
 _MOST_TURNED, _MOST_ASIDE, _MOST_ADVANCED, _MOST_LENGTHENED = math.radians(20), 25e-3, 50e-3, 1.0
 """Standard deviations of the changes since a needle was lost: direction in rad, distances of the

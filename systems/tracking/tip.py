@@ -40,7 +40,7 @@ there. This length, `_NOTHING` and `_SPREAD` are fitted by ``python -m tip_study
 (tests/tools)."""
 
 _MIRROR = 16.0, 24.0
-"""Contrast in dB up to which an end is rough, and from which on it mirrors sound."""
+"""Contrasts in dB up to which an end is rough, and above which it mirrors sound."""
 
 _MIRRORED, _MIRROR_ANGLE = 30.0, math.radians(10)
 """How much brighter a smooth needle is that mirrors sound back, in dB, and the angle from there in

@@ -36,7 +36,7 @@ TABLE_2 = {"static": (58, 68, 40, 40, 36, 40), "dynamic": (37, 36, 30, 24, 30, 3
 """Published mean improvement of RANSAC and Kalman over RANSAC for the `QUANTITIES`, in percent."""
 
 LONG = 15
-"""Length in mm from which on the absolute errors have targets."""
+"""Length in mm above which the absolute errors have targets."""
 
 _UNITS = dict(zip(QUANTITIES, ("deg", "deg", "mm", "mm", "mm", "mm"), strict=True))
 _KINDS = ("fresh speckle", "same volumes")

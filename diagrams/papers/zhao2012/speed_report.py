@@ -100,7 +100,7 @@ _JUDGED = 10.0
 """Largest speed at which it is aimed at, in mm/s."""
 
 _SETTLED = 1.0
-"""Time in s after the beginning of a push from which on its speed counts."""
+"""Time in s from the beginning of a push until its speed counts."""
 
 
 def loop_rows(outcomes: Sequence[Outcome]) -> list[StudyRow]:

@@ -26,7 +26,7 @@ _ACTS = {
 }
 
 _REASONS = 3  # number of reasons of lost volumes that are shown
-_SHOWN = 0.5  # time in s from which on it is told that something else was taken for the needle
+_SHOWN = 0.5  # time in s above which the verdict says that something else was followed
 
 
 def following_verdict(summary: Mapping[str, Any], *, follows: bool = True) -> Verdict:

@@ -56,7 +56,7 @@ class PublishedLocalizationParameters(Bounded):
     max_angle_deg
         Largest angle alpha_0 from the predicted direction (eq. 22), in degrees.
     min_length
-        Visible length from which on a needle is tracked, in m. Around an entry, tissue alone shows
+        Visible length above which a needle is tracked, in m. Around an entry, tissue alone shows
         lines of 10 to 15 mm. See `least_length` for later volumes.
     max_gap
         Largest gap in the intensity along the needle that does not end it, in m.

@@ -60,7 +60,7 @@ class WholeVolumeLocalizationParameters(WholeVolumeRansacParameters):
     Parameters
     ----------
     min_length
-        Visible length from which on a needle is tracked, in m; see `least_length`.
+        Visible length above which a needle is tracked, in m; see `least_length`.
     std
         Standard deviation of the tip and the rear end in every direction, which gives the
         covariance R of eq. 3, in m.
