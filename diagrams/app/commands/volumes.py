@@ -162,7 +162,7 @@ def _track_file(
     real_time: bool,
     log: Path | None,
 ) -> None:
-    from sonoservo.diagrams.app.terminal import VolumeProgress, mode_table, mode_words
+    from sonoservo.diagrams.app.terminal import mode_table, mode_words, volume_progress
     from sonoservo.diagrams.app.viewed_run import ViewedRun
     from sonoservo.diagrams.app.volumes.opening import open_volumes
     from sonoservo.diagrams.app.volumes.track import track_recording
@@ -173,10 +173,10 @@ def _track_file(
     folder = results.out or Path("out") / f"{path.name.partition('.')[0]}_track"
     viewed = ViewedRun(log)
     pages = open_page(path.name)
-    with VolumeProgress(console, path.name, len(recording)) as progress:
+    with volume_progress(console, "Tracking", path.name, len(recording)) as progress:
 
         def after_volume(number: int, estimate: "NeedleEstimate") -> None:
-            progress(number, estimate)
+            progress.show(number + 1, estimate.mode)
             if log is not None:
                 viewed.show(recording[number], estimate)
 
@@ -354,14 +354,16 @@ def calibrate_command(
 
     The tissue must stand still while the probe moves.
     """
-    from sonoservo.diagrams.app.terminal import VolumeProgress, pose_error_table
+    from sonoservo.diagrams.app.terminal import pose_error_table, volume_progress
     from sonoservo.diagrams.app.volumes.calibrate import calibrate_recording, pose_error_figures
     from sonoservo.diagrams.app.volumes.opening import open_volumes
 
     opened = open_volumes(recording, reading)
     say_notes(*opened.notes)
-    with VolumeProgress(console, recording.name, len(opened)) as progress:
-        figures = pose_error_figures(calibrate_recording(opened, after_volume=progress))
+    with volume_progress(console, "Calibrating", recording.name, len(opened)) as progress:
+        figures = pose_error_figures(
+            calibrate_recording(opened, after_volume=lambda number: progress.show(number + 1))
+        )
     console.print(pose_error_table(figures) if figures["found"] else figures["reason"])
     write_printed(results.json_path, figures)
     if not figures["found"]:

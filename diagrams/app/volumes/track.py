@@ -1,7 +1,7 @@
 """Tracking in recorded volumes: results that print and draw themselves, and their files."""
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -103,6 +103,21 @@ def tracker_parameters(
         raise ConfigurationError(str(error)) from error
 
 
+def make_bench(
+    settings: Mapping[str, Any],
+    parameters: TrackerParameters | None,
+    seed: int | None,
+    correct_poses: bool,
+    **options: Any,
+) -> TrackerBench:
+    """Return the bench of a tracker; its seed is by default the recorder's, or else 0."""
+    seed = int(settings.get("tracker_seed", 0)) if seed is None else seed
+    tracker = MakeNeedleTracker(
+        parameters=parameters, period=1.0, seed=seed, correct_poses=correct_poses
+    )
+    return TrackerBench(tracker, **options)
+
+
 def track_recording(
     recording: Opened,
     *,
@@ -155,7 +170,6 @@ def track_recording(
     """
     if explain and out is None:
         raise ConfigurationError("explain: there is no folder to keep explanations in; give out")
-    seed = int(recording.settings.get("tracker_seed", 0)) if seed is None else seed
     truth_path = side_path(recording.path, TRUTH)
     truth = read_truth(truth_path) if truth_path.is_file() else None
     motion = recording[0].motion
@@ -184,10 +198,11 @@ def track_recording(
     with claim_folder(out):
         if out is not None:
             clear_explanations(out)
-        bench = TrackerBench(
-            MakeNeedleTracker(
-                parameters=parameters, period=1.0, seed=seed, correct_poses=correct_poses
-            ),
+        bench = make_bench(
+            recording.settings,
+            parameters,
+            seed,
+            correct_poses,
             geometry=motion.geometry if motion else None,
             explain=out if explain else None,
         )
