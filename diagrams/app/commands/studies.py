@@ -17,6 +17,7 @@ from sonoservo.diagrams.app.options import (
     ScenarioArgument,
     Workers,
     console,
+    refusing_values,
     say,
     say_report,
     write_printed,
@@ -176,7 +177,7 @@ def reproduce_command(
     command += ["--only", only] if only else []
     command += ["--finished"] if finished else []
     command += [] if results.out is None else ["--out", str(results.out)]
-    try:
+    with refusing_values():
         options = StudyOptions(
             folder=folder,
             quick=quick,
@@ -186,8 +187,6 @@ def reproduce_command(
             jobs=workers.jobs,
             console=console,
         )
-    except ValueError as error:
-        raise ConfigurationError(str(error)) from error
     studies = []
     try:
         with nullcontext(FinishedOnly()) if finished else opened(workers) as executor:

@@ -22,6 +22,7 @@ from sonoservo.diagrams.app.options import (
     Tracker,
     WaitOption,
     console,
+    refusing_values,
     say,
     say_notes,
     say_report,
@@ -230,7 +231,7 @@ def bridge_command(
         raise ConfigurationError(
             f"bridge: {source} and {target}: one must be an address (igtl://...), the other a file"
         )
-    try:
+    with refusing_values():
         if is_address(target):
             recording = open_volumes(Path(source), reading)
             _say_about(recording)
@@ -248,8 +249,6 @@ def bridge_command(
             left_out = "".join(f", {count} left out ({why})" for why, count in reasons)
             done = f"{summary['volumes']} volumes recorded, {summary['dropped']} dropped"
             say(f"{done}{left_out}: {target}")
-    except ValueError as error:
-        raise ConfigurationError(str(error)) from error
     write_printed(results.json_path, summary)
     if summary["interrupted"]:
         raise typer.Exit(INTERRUPTED)
@@ -276,12 +275,10 @@ def locate_command(
     from sonoservo.diagrams.app.volumes.opening import open_volumes
     from sonoservo.systems.tracking.localizer_parameters import NeedleLocalizerParameters
 
-    try:
+    with refusing_values():
         parameters = NeedleLocalizerParameters().knowing(
             beam_width=curve.beam_width, echo_offset=curve.echo_offset
         )
-    except ValueError as error:
-        raise ConfigurationError(str(error)) from error
     if not reading.reconstruct:  # times and poses do not matter for a single volume
         reading.volume_rate, reading.poses = 1.0, "none"
     opened = open_volumes(volume, reading)

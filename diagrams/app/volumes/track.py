@@ -11,6 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from pydrake.math import RigidTransform
 
+from sonoservo.diagrams.app.options import refusing_values
 from sonoservo.diagrams.app.pages.pacer import Pacer
 from sonoservo.diagrams.app.run_result import RunResult, table_text
 from sonoservo.diagrams.app.terminal import mode_table
@@ -96,11 +97,9 @@ def tracker_parameters(
         raise ConfigurationError(f"unknown tracker {tracker!r}; {suggest(tracker, trackers)}")
     if start not in STARTS:
         raise ConfigurationError(f"start: {start!r}; {suggest(start, STARTS)}")
-    try:
+    with refusing_values():
         own = trackers[tracker](order=order)
         return own.knowing(start=start, beam_width=beam_width, echo_offset=echo_offset)
-    except ValueError as error:
-        raise ConfigurationError(str(error)) from error
 
 
 def make_bench(
