@@ -145,6 +145,7 @@ def drive(
     with refusing(scenario):
         experiment = DrivenExperiment(scenario, console, meshcat, observers)
     kept, bar = KeptRun(experiment, out=out), progress_bar(scenario, progress)
+    shown = [each for each in (bar.show if bar else None, show) if each is not None]
 
     def set_aside() -> None:
         if begin is not None:
@@ -180,9 +181,8 @@ def drive(
             hint = experiment.hint()
             console.say(note=hint)
             said = "; ".join(filter(None, ["paused" if pacer.paused else pacer.pace, hint]))
-            for each in (bar and bar.show, show):
-                if each is not None:
-                    each(experiment.time, said)
+            for each in shown:
+                each(experiment.time, said)
 
     return kept.carry_out(simulate, begin=set_aside, bar=bar)
 

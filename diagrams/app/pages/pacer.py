@@ -5,6 +5,8 @@ from collections import deque
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
+from sonoservo.systems.evaluation.reports.report import speed_text
+
 if TYPE_CHECKING:
     from sonoservo.systems.display.console.console import Console
 
@@ -47,7 +49,7 @@ class Pacer:
         if self.paused:
             self._real_time.start(now)
         factor = self._real_time.factor
-        self.pace = "" if factor is None else f"{_shown(factor)} × real time"
+        self.pace = "" if factor is None else f"{speed_text(factor)} × real time"
         self._console.say(paused=self.paused, pace=self.pace)
         return pressed
 
@@ -77,11 +79,6 @@ class Pacer:
             start, begun = self._origin = self._origin or (now, time.perf_counter())
             time.sleep(max(0.0, (now - start) / self.speed - (time.perf_counter() - begun)))
         return held
-
-
-def _shown(factor: float) -> str:
-    """Return a speed with one decimal, or with one digit that is not 0."""
-    return f"{factor:.1f}" if factor >= 0.05 else f"{factor:.1g}"
 
 
 class RealTime:
