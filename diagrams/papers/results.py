@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from sonoservo.diagrams.studies.fingerprint import OLD, RECORDS
-from sonoservo.diagrams.studies.records import read_records, write_records
+from sonoservo.diagrams.studies.records import Records, read_records, write_records
 from sonoservo.diagrams.studies.study_report import (
     Study,
     StudyRow,
@@ -71,7 +71,7 @@ def keep_results(studies: Sequence[Study], command: str) -> None:
 @cache
 def kept_results(paper: str) -> dict[str, Any] | None:
     """Return a paper's kept results as in study.json, by the present definitions; None if none."""
-    records = read_records(_folder(paper) / RECORDS)
+    records = kept_records(paper)
     if records is not None:
         report = import_module(
             f"sonoservo.diagrams.{study_room(paper)}.{paper}.reproduction"
@@ -83,6 +83,11 @@ def kept_results(paper: str) -> dict[str, Any] | None:
     if not old.is_file():
         return None
     return {**json.loads(old.read_text(encoding="utf-8")), "outdated": True}
+
+
+def kept_records(paper: str) -> Records | None:
+    """Return the records of a paper's or study's kept runs; None if there are none."""
+    return read_records(_folder(paper) / RECORDS)
 
 
 def study_room(name: str) -> str:

@@ -2,10 +2,11 @@
 
 import shlex
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -150,6 +151,10 @@ def reproduce_command(
     keep: Annotated[
         bool, typer.Option("--keep", help="Keep the results in the repository, with its tables.")
     ] = False,
+    repeat: Annotated[
+        int | None,
+        typer.Option(min=1, help="Make so many of the kept runs again, and compare the figures."),
+    ] = None,
 ) -> None:
     """Repeat a paper's experiments over many seeds, and compare with its figures and the truth.
 
@@ -160,6 +165,14 @@ def reproduce_command(
     papers = PAPERS if paper == ALL else (paper,)
     for each in papers:
         require_paper(each)
+    if repeat is not None:
+        if quick or seeds or first_seed or only or finished or keep or results.out:
+            raise ConfigurationError(
+                "--repeat: it takes the kept runs as they are; leave out --quick, --seeds, "
+                "--first-seed, --only, --finished, --keep and --out"
+            )
+        _repeat(papers, repeat, workers, results)
+        return
     if keep and (quick or first_seed or only):
         raise ConfigurationError(
             "--keep: no results of a quick study, of other seeds or of a part are kept"
@@ -207,6 +220,30 @@ def reproduce_command(
     if keep:
         keep_results(studies, shlex.join(command))
     write_printed(results.json_path, data)
+
+
+def _repeat(papers: Sequence[str], number: int, workers: Workers, results: Results) -> None:
+    """Make some kept runs of each paper again; exit status 1 if any gives other figures."""
+    from sonoservo.diagrams.papers.repeats import repeat_kept_runs
+    from sonoservo.diagrams.studies.processes import Processes
+    from sonoservo.diagrams.studies.study import StudyOptions
+
+    made = {}
+    for paper in papers:
+        with opened(workers) as executor, TemporaryDirectory() as folder:
+            options = StudyOptions(
+                folder=Path(folder), cluster=executor or Processes(workers.jobs), console=console
+            )
+            made[paper] = repeat_kept_runs(paper, number, options)
+        differ = [each for each in made[paper] if each.difference]
+        for each in differ:
+            say(f"{each.name}: {each.difference}")
+        same = len(made[paper]) - len(differ)
+        say(f"{paper}: {same} of {len(made[paper])} kept runs gave the same figures again")
+    rows = {paper: [asdict(each) for each in repeats] for paper, repeats in made.items()}
+    write_printed(results.json_path, rows)
+    if any(each.difference for repeats in made.values() for each in repeats):
+        raise typer.Exit(1)
 
 
 MAKE = "make"

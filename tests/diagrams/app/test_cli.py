@@ -182,6 +182,11 @@ def test_results_that_cannot_be_written_are_one_line_and_exit_code_2(tmp_path):
     [
         (["chatelain2031"], "unknown paper 'chatelain2031'; did you mean 'chatelain2013'?"),
         (["chatelain2013", "--seeds", "0"], "seeds: 0 is not allowed; it must be 1 or more"),
+        (
+            ["chatelain2013", "--repeat", "2"],
+            "--repeat: it takes the kept runs as they are; leave out --quick, --seeds, "
+            "--first-seed, --only, --finished, --keep and --out",
+        ),
     ],
 )
 def test_a_mistake_in_what_to_reproduce_is_one_line_and_exit_code_2(arguments, message, tmp_path):

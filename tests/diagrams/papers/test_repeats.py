@@ -1,0 +1,76 @@
+"""Kept runs made again: which are chosen, and what counts as another figure."""
+
+import time
+
+import pytest
+
+from sonoservo.diagrams.papers import repeats
+from sonoservo.diagrams.studies.processes import Processes
+from sonoservo.diagrams.studies.records import Records
+from sonoservo.diagrams.studies.runs import run_study
+from sonoservo.diagrams.studies.study import Case, Outcome, StudyOptions
+from sonoservo.systems.files.refusals import ConfigurationError
+
+
+def teach(case):
+    return {"learnt": case.seed / 3}
+
+
+def work(case):
+    tips = [case.seed / 7, None, case.settings["learnt"]]
+    return {"tips": tips, "compute": {"track": time.perf_counter()}}
+
+
+def reproduce(paper, options):
+    """A study of two steps, of which only the second is kept."""
+    lessons = run_study(teach, [Case("lesson", 7)], options, folder="lessons")
+    settings = {"learnt": lessons[0].result["learnt"]}
+    names = ("plain", "steep")
+    return run_study(work, [Case(n, seed, settings) for n in names for seed in range(10)], options)
+
+
+def kept(changed=None, learnt=2.33333):
+    """Records of all runs, to six digits, with one more of an experiment that is gone."""
+    cases = [Case(n, seed, {"learnt": learnt}) for n in ("plain", "steep") for seed in range(10)]
+    outcomes = []
+    for case in cases:
+        tips = [float(f"{case.seed / 7:.6g}"), None, learnt]
+        if case.name == changed:
+            tips[0] += 1e-5
+        outcomes.append(Outcome(case, {"tips": tips, "compute": {"track": 0.0}}))
+    return Records("", "abc", "", [*outcomes, Outcome(Case("gone", 0), {"tips": [0.0]})])
+
+
+@pytest.fixture
+def repeat(tmp_path, monkeypatch):
+    monkeypatch.setattr(repeats, "reproduce", reproduce)
+
+    def make(records, number):
+        monkeypatch.setattr(repeats, "kept_records", lambda paper: records)
+        options = StudyOptions(folder=tmp_path / str(number), cluster=Processes(1))
+        return repeats.repeat_kept_runs("mine", number, options)
+
+    return make
+
+
+def test_some_runs_of_all_experiments_are_made_again_and_times_do_not_count(repeat):
+    found = repeat(kept(), 8)
+    assert len({each.name for each in found}) == len(found) == 8
+    assert {each.name.split("_")[0] for each in found} == {"plain", "steep"}
+    assert not any(each.difference for each in found)
+
+
+def test_another_figure_is_named_with_both_values(repeat):
+    changed = Case("steep", 3, {"learnt": 2.33333}).name
+    found = repeat(kept(changed), 21)
+    assert len(found) == 20
+    (other,) = [each for each in found if each.difference]
+    assert other.name.startswith("steep_seed003")
+    assert other.difference == "result.tips[0]: 0.428571, kept 0.428581"
+
+
+def test_runs_that_the_study_does_not_make_any_more_are_refused(repeat):
+    with pytest.raises(ConfigurationError, match="makes none of the kept runs"):
+        repeat(kept(learnt=1.0), 5)
+    with pytest.raises(ConfigurationError, match="no records"):
+        repeat(None, 5)
