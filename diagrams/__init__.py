@@ -6,8 +6,8 @@ The package also exports the functions behind the commands:
 >>> result = run(load_scenario("chatelain2013_fig5", seed=1))
 >>> result.summary["servo"]["at_rest"]
 
-Its rooms are `trackers`, `experiments`, `studies`, `papers` and `app`. The modules outside these
-rooms import `systems`, `models` and `trackers` only.
+Its rooms are `trackers`, `experiments`, `studies`, `papers`, `benchmark`, `environment` and `app`.
+The modules outside these rooms import `systems`, `models` and `trackers` only.
 """
 
 from lazy_loader import attach_stub

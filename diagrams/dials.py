@@ -1,4 +1,4 @@
-"""Dials of the harder world: what makes images and instruments of a clinic hard."""
+"""Dials of the harder world: difficulties of a clinic's images and instruments."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field

@@ -30,13 +30,16 @@ def MakeNeedleTracker(
         - measurement
         - detection
         - explanation
+        - lines (of trackers that follow several lines)
+        - lines_explanation (of trackers that follow several lines)
         - volume_check
         - corrected_volume (if it corrects poses)
         - pose_errors (if it corrects poses)
 
     ``volume`` is a `Volume`, or a `NotFound` while there is none; ``estimate`` a `NeedleEstimate`.
     ``measurement`` and ``detection`` are those of the last update, for a log. ``explanation`` is
-    the `LocalizationExplanation` of the volume at the input, computed on demand.
+    the `LocalizationExplanation` of the volume at the input, computed on demand. ``lines`` are the
+    `LineHypotheses` that are followed, and ``lines_explanation`` is their `LinesExplanation`.
     ``volume_check`` is the `VolumeCheck` of all volumes so far; refused volumes are not tracked.
     ``corrected_volume`` and ``pose_errors`` are those of a `PoseCorrector`; estimates then hold in
     W for the poses of the corrected volume.

@@ -58,7 +58,7 @@ def MakeTrackerBench(
     geometry
         Geometry of the sweeps, which bounds the part of the needle in view.
     explain
-        Folder of the run that keeps what the tracker looked at around a loss, if any.
+        Folder of the run in which the tracker's searches around a loss are kept, if any.
     period, offset
         Period and offset in s of the looks for a new estimate: shortly after the tracker's events.
     """
@@ -110,7 +110,7 @@ def log_of(bench: Diagram, context: Context, compute: Mapping[str, Any] | None =
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """A volume as a source hands it over."""
+    """A volume as a source delivers it."""
 
     volume: Volume
     X_WL: RigidTransform | None = None  # of the source's frame L; None for P

@@ -31,7 +31,7 @@ def sequence_name(suite: str, seed: int) -> str:
 
 
 def resolve_entrant(text: str, sequences: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what a case needs of a tracker: kind, module:factory with its digest, or tables."""
+    """Return a tracker's settings for a case: kind, module:factory with its digest, or tables."""
     kinds = {each.kind for each in TRACKERS}
     if text in kinds:
         return {"name": text, "kind": text}

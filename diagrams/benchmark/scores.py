@@ -1,4 +1,4 @@
-"""Scores of a tracker: what became of its sequences, and figures with intervals over them."""
+"""Scores of a tracker: the record of each sequence, and figures with intervals over them."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -38,11 +38,8 @@ def judge_sequence(
 ) -> dict[str, Any]:
     """Return the record of a tracker in a sequence, in types that JSON has.
 
-    Errors are those in the probe's frame, and while the probe is lifted there is no needle to see.
-    `tip_mm`, `axis_deg`: of the volumes with enough to be seen, None where the right needle is not
-    tracked; `kept`: whether it is, from the detection on; `delay_s`: from the first such volume to
-    the detection; `stated`: pairs of a stated probability and whether there was the needle;
-    `worst`: number of the volume with the largest error.
+    Errors, in the probe's frame, are infinite (None) where the right needle is not tracked. While
+    the probe is lifted there is no needle to be seen.
     """
     log = as_in_probe(log_of_estimates(truth, volumes, rows))
     judged = TrackedVolumes.of(log)
@@ -59,16 +56,20 @@ def judge_sequence(
     inside = inside_stated(log)["tip"]
     first = np.flatnonzero(seen)
     return {
+        # Of the volumes with enough to be seen.
         "tip_mm": _plain(errors),
         "axis_deg": _plain(np.where(right, judged.axis, np.inf)[seen]),
         "found": judged.found if len(first) else None,
+        # From the first such volume to the detection.
         "delay_s": float(time[np.argmax(right)] - time[first[0]])
         if len(first) and judged.found
         else None,
+        # Whether it is the right needle, from the detection on.
         "kept": right[judged.judged].tolist(),
         "false_finds": detection(log)["false_starts"],
         "seconds": float(truth.time[-1]),
         "reacquired": bool((right & (time >= lifted[1])).any()) if before.any() else None,
+        # Pairs of a stated probability and whether there was the needle.
         "stated": [
             [each.probability, bool(near_needle[n])]
             for n, each in given
@@ -78,6 +79,7 @@ def judge_sequence(
                    if inside[n] is not None and each.mode == TrackingMode.TRACKING],
         "process_ms": [each.process_ms for _, each in sorted(by_volume.items())
                        if each.process_ms is not None],
+        # Number of the volume with the largest error.
         "worst": int(first[np.argmax(errors)]) if len(first) else len(time) // 2,
     }  # fmt: skip
 

@@ -1,4 +1,4 @@
-"""The leaf that hands an agent's velocity to the kinematics in place of the servo's."""
+"""Leaf system that passes an agent's velocity to the kinematics in place of the servo's."""
 
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import BasicVector, Context, LeafSystem

@@ -205,7 +205,7 @@ class FollowNeedle(DrakeGymEnv):
         self.simulator = None
 
     def render(self) -> NDArray[np.uint8] | None:
-        """Return the two middle planes of the newest volume side by side, if asked for."""
+        """Return the two middle planes of the newest volume side by side, in ``rgb_array`` mode."""
         if self.render_mode != "rgb_array":
             return None
         along, across = self._planes()

@@ -82,7 +82,7 @@ class ActionScale:
 
 
 def MakeCommandedSettings(*, schedule: ControllerSchedule) -> Diagram:
-    """Make the settings of a controller of which the agent commands the force.
+    """Make the controller's settings, in which the agent commands the force.
 
     .. pydrake_system::
 
@@ -96,7 +96,7 @@ def MakeCommandedSettings(*, schedule: ControllerSchedule) -> Diagram:
     Parameters
     ----------
     schedule
-        Gain of the servo, whose velocity the agent may ask for, over time.
+        Gain of the servo over time, whose velocity the agent may request.
     """
     builder = DiagramBuilder()
     settings = builder.AddNamedSystem("scheduled", ScheduledSettings(schedule=schedule))

@@ -70,7 +70,7 @@ class FollowingExperiment(Experiment[FollowingScenario]):
         File to which the volumes are recorded, ``NAME.seq.nrrd``, if any, and whether with the
         sweeps. Call `close` at the end.
     explain
-        Folder of the run that keeps what the tracker looked at around a loss, if any.
+        Folder of the run in which the tracker's searches around a loss are kept, if any.
     observers
         Systems without outputs, by name; they look for a volume at `observer_events`.
     search

@@ -1,4 +1,4 @@
-"""Base class of what presents the runs of an experiment: words, plots and pictures."""
+"""Base class of the presenters of an experiment's runs: words, plots and pictures."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any, ClassVar
@@ -13,7 +13,7 @@ from sonoservo.systems.needle.insertion_parameters import OUTER_DIAMETER, Insert
 
 
 class Presenter:
-    """Presents the runs of an experiment; a subclass says more than nothing."""
+    """Presenter of an experiment's runs, which shows nothing itself; subclasses do."""
 
     labels: ClassVar[Mapping[str, str]] = {}
     overlay_caption: ClassVar[str] = ""

@@ -46,12 +46,12 @@ def presenter_class(name: str) -> "type[Presenter]":
 
 
 def present(experiment: "Experiment[Any]") -> "Presenter":
-    """Return what presents an experiment's run in words, plots and pictures."""
+    """Return the presenter of an experiment's run, for words, plots and pictures."""
     return presenter_class(experiment.scenario.experiment)(experiment)
 
 
 def make_experiment(scenario: "Scenario", **options: Any) -> "Experiment[Any]":
-    """Make the experiment of a scenario; options are its class's arguments, if asked for."""
+    """Make a scenario's experiment; options are its class's arguments, None or False if unset."""
     kind = experiment_class(scenario.experiment)
     wanted = {
         name: value for name, value in options.items() if value is not None and value is not False

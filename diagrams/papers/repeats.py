@@ -73,25 +73,10 @@ class _Repeating:
 
 
 def repeat_kept_runs(paper: str, number: int, options: StudyOptions) -> list[Repeat]:
-    """Make some of the kept runs of a paper or study again, by the present code and machine.
+    """Make about ``number`` of a paper's kept runs again, and compare each with its record.
 
-    Parameters
-    ----------
-    paper
-        Name of the paper or study.
-    number
-        Number of runs; about as many, as each step of a study repeats a whole number.
-    options
-        Folder for the runs, which should be new, executor and console of the study.
-
-    Returns
-    -------
-    The repeated runs, each compared with its record to the six digits that records have.
-
-    Raises
-    ------
-    ConfigurationError
-        If no records are kept, or the study makes none of their runs any more.
+    They agree if they do to the six digits that records have. ConfigurationError if no records are
+    kept, or the study makes none of their runs any more.
     """
     records = kept_records(paper)
     if records is None:

@@ -1,4 +1,4 @@
-"""Identity of what makes results: a digest of its code and data, and the libraries below it."""
+"""Identity of the code, data and libraries that make results."""
 
 import ast
 import hashlib
@@ -17,11 +17,11 @@ from sonoservo.diagrams.published import method_modules, published
 _PARTS = ("systems", "models", "diagrams")
 
 _SHOWING = ("sonoservo.systems.display", "sonoservo.systems.evaluation.reports")
-"""Rooms that only show what a run does: nothing in them makes a result."""
+"""Rooms that only present runs; nothing in them makes a result."""
 
 RECORDS, OLD = "records.json.gz", "results.json"
-"""Names of the files of kept results, which are made by the code and no part of it. The second one
-is of older results without records, which are outdated."""
+"""Names of the files of kept results, which the code makes and which do not count as part of it.
+The second is that of older results without records, which are outdated."""
 
 _PACKAGES = ("sonoservo", "drake", "numpy", "scipy", "numba", "llvmlite", "filterpy")
 """Packages whose versions affect results."""
@@ -29,11 +29,11 @@ _PACKAGES = ("sonoservo", "drake", "numpy", "scipy", "numba", "llvmlite", "filte
 
 @cache
 def code_fingerprint(*modules: str) -> str:
-    """Return a digest of the code that some modules' imports reach, or of all, and of all data.
+    """Return a digest of all data and of the code that some modules import, or of all code.
 
-    Code that only shows results (`_SHOWING`) does not count, nor do docstrings and comments. A
-    class imported by its name at run time is not reached, so modules must import the classes of
-    their experiments.
+    Neither code that only shows results (`_SHOWING`) counts, nor docstrings and comments. The
+    modules must import the classes of their experiments, as imports by name at run time are not
+    followed.
     """
     digest = hashlib.sha256()
     reached = _reached_modules(modules)
@@ -86,7 +86,7 @@ def _reached_modules(modules: Sequence[str]) -> set[str] | None:
 
 @cache
 def made_with() -> Mapping[str, str]:
-    """Return what results depend on beside the code: versions, and the set of instructions."""
+    """Return what results depend on besides the code: versions, and the set of instructions."""
     python = ".".join(platform.python_version_tuple()[:2])
     versions = {name: version(name) for name in _PACKAGES}
     return {"python": python, **versions, "instruction set": _instruction_set()}

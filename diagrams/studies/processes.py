@@ -118,7 +118,7 @@ class _Slot:
         return future
 
     def end(self) -> None:
-        """End the process at once, whatever it is doing."""
+        """End the process at once, in the middle of a case, too."""
         if self._pool is not None:
             self._pool.shutdown(wait=False, cancel_futures=True)
         for process in self._processes:

@@ -1,4 +1,4 @@
-"""Cases of a study, what becomes of them, and what runs them."""
+"""Cases of a study, their outcomes, and the executors that run them."""
 
 import hashlib
 import json

@@ -33,7 +33,7 @@ class Verdict(StrEnum):
     NOT_MET = "no"
     UNDECIDED = "undecided"  # the interval crosses the target: more runs would tell
     NOT_MEASURED = "not measured"
-    """No run gave the figure: it was not asked for, or none got so far."""
+    """No run gave the figure: it was not requested, or no run got so far."""
 
 
 def verdict(
@@ -107,7 +107,7 @@ class StudyRow:
         wanted: Side = "at most",
         paper: float | None = None,
     ) -> "StudyRow":
-        """Return the row of a figure; of a share, its target only if so many runs can tell."""
+        """Return the row of a figure; a share has its target only with enough runs to tell."""
         theirs = published or Value()
         if target is not None and ours.share_of is not None:
             target = target if can_be_judged(ours.share_of, target, wanted) else None
@@ -144,7 +144,7 @@ class StudyRow:
 
 
 def said_first(rows: Sequence[StudyRow]) -> str:
-    """Return a sentence on the figures in which the published method is better; empty if none."""
+    """Return a sentence naming the figures in which the published method is better, or ""."""
     names = [f"{each.experiment}: {each.named}" for each in rows if each.behind]
     return f"The published method is better in {'; '.join(names)}." if names else ""
 

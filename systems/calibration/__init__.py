@@ -1,4 +1,4 @@
-"""Calibration: what the images say about the poses that they carry."""
+"""Calibration: delay and hand-eye error of the volumes' poses, estimated from the images."""
 
 from lazy_loader import attach_stub
 

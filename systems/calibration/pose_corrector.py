@@ -15,7 +15,7 @@ from sonoservo.systems.signals.volume import Volume
 
 @dataclass(frozen=True, eq=False)
 class _History(Immutable):
-    """What the volumes said so far, the newest one, and the same with corrected poses."""
+    """Calibration by the volumes so far, the newest one, and the same with corrected poses."""
 
     calibration: PoseCalibration = field(default_factory=PoseCalibration)
     newest: Volume | None = None

@@ -104,27 +104,19 @@ _LEAST_PAIRS = 8  # Number of pairs of volumes without which nothing is said
 
 @dataclass(frozen=True, eq=False)
 class PoseErrors(Immutable):
-    """Errors of the poses that volumes carry.
-
-    Parameters
-    ----------
-    delay
-        Time in s by which the poses are late: that of a volume was true so much earlier.
-    translation, rotation
-        (3,) displacement in m, and rotation vector in rad, of the image in the probe frame P that
-        is assumed.
-    covariance
-        (7, 7) covariance of delay, translation and rotation.
-    pairs, blocks
-        Numbers of pairs of volumes and of blocks of tissue that were compared.
-    """
+    """Errors of the poses that volumes carry."""
 
     delay: float
+    """Time in s by which the poses are late: the pose of a volume was true that much earlier."""
     translation: Vector3
+    """Displacement in m of the image in the assumed probe frame P."""
     rotation: Vector3
+    """Rotation vector in rad of the image in P."""
     covariance: Annotated[Floats, Shape(7, 7)]
+    """Covariance of delay, translation and rotation."""
     pairs: int
     blocks: int
+    """Number of blocks of tissue compared in all ``pairs`` of volumes."""
 
     @property
     def std(self) -> Floats:
@@ -133,12 +125,12 @@ class PoseErrors(Immutable):
 
     @property
     def X_PI(self) -> RigidTransform:
-        """Pose of the image I in the probe frame P that is assumed."""
+        """Pose of the image I in the assumed probe frame P."""
         turn = Rotation.from_rotvec(self.rotation.copy()).as_matrix()
         return RigidTransform(RotationMatrix(turn), self.translation)
 
     def corrected(self, volume: Volume) -> Volume:
-        """Return a volume with the true poses; its delay only if it has frame times."""
+        """Return a volume with the true poses; the delay is corrected only with frame times."""
         if volume.motion is None:
             return replace(volume, X_WP=volume.X_WP.multiply(self.X_PI))
         motion = volume.motion
@@ -201,8 +193,15 @@ def _coefficients(volume: Volume, p_W: Floats) -> Floats:
 def estimate_pose_errors(equations: Sequence[PoseEquations]) -> PoseErrors | NotFound:
     """Solve the equations of several pairs of volumes by robust least squares.
 
-    The blocks of a pair err together, so the covariance counts pairs (a sandwich estimate). A
-    `NotFound` says that there are too few pairs, or that the tissue moves.
+    Parameters
+    ----------
+    equations
+        Equations of each pair of volumes; see `pose_equations`.
+
+    Returns
+    -------
+    The errors, with a covariance that counts pairs, as the blocks of a pair err together (a
+    sandwich estimate); or a `NotFound` if there are too few pairs, or the tissue moves.
     """
     used = [each for each in equations if len(each.displacement)]
     if len(used) < _LEAST_PAIRS:
@@ -250,7 +249,7 @@ _LEAST, _MOST = 0.1, 2.0
 
 @dataclass(frozen=True, eq=False)
 class PoseCalibration(Immutable):
-    """What the newest volumes, and the equations of pairs, say about the errors of their poses."""
+    """The newest volumes, and the equations of pairs that tell the errors of their poses."""
 
     volumes: tuple[Volume, ...] = ()
     equations: tuple[PoseEquations, ...] = ()

@@ -1,8 +1,8 @@
 """Controllers that move the probe.
 
-The package contains the visual servo, the force law, and the differential kinematics that turn a
-twist into joint velocities. It imports only `signals`, and none of `detection`, `localization` and
-`estimation`.
+The package contains the visual servo, the force law, the differential kinematics that turn a twist
+into joint velocities, and the guard between controller and arm. It imports only `signals` and
+`sampling`.
 """
 
 from lazy_loader import attach_stub

@@ -1,4 +1,4 @@
-"""Schedule of controller settings, and the leaves that play it or record an operator's changes."""
+"""Schedule of controller settings; leaf systems that play it, or record an operator's changes."""
 
 from bisect import bisect_right
 from dataclasses import dataclass, replace

@@ -29,7 +29,7 @@ class ForceControllerParameters:
         Force to hold, in N.
     proportional_gain
         Proportional gain, in m/s/N. Its product with the contact's stiffness is the loop's
-        bandwidth: 0.03 x 1000 N/m is 30/s.
+        bandwidth: 0.02 x 1000 N/m is 20/s.
     integral_gain
         Integral gain, in m/s/(N s).
     filter_time
@@ -99,8 +99,8 @@ def next_state(
 ) -> ForceState:
     """Return the state after one more measured force in N, `time_step` seconds later.
 
-    A force that is not a number leaves the state unchanged. While the probe is held by somebody
-    else, whatever the law wants, the integral is zero.
+    A force that is not a number leaves the state unchanged. While the probe is held against the
+    law, the integral is zero.
     """
     if not math.isfinite(force):
         return state

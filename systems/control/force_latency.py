@@ -26,15 +26,14 @@ def lags(time_step: float) -> int:
 def next_correlation(
     state: NDArray[np.float64], expected: float, measured: float, time_step: float
 ) -> tuple[NDArray[np.float64], float]:
-    """Return the correlation after one more step, and the latency in s, or NaN while unknown.
+    """Return the (4, m) correlation after one more step, and the latency in s, or NaN if unknown.
 
-    The (4, m) state holds, for each of m lags, the last changes of the expected force, and sums of
-    their products with those of the measured one, of their squares, and of the squares of the
-    latter. `expected` and `measured` are the changes in N, since the step before, of the force that
-    moves the probe's mass as commanded and of the wrist's force. A lag is believed if it explains
-    nearly all of what is measured, at the size expected, and nearly all of what was expected could
-    have been measured by then; a contact that changes meanwhile leaves the latency unknown.
+    `expected` and `measured` are changes since the last step, in N, of the force that moves the
+    probe's mass as commanded and of the wrist's force. A lag is believed if it explains nearly all
+    of the latter at the expected size; a contact that changes meanwhile leaves the latency unknown.
     """
+    # For each of m lags, the state holds the last changes of the expected force, and sums of their
+    # products with those of the measured one, of their squares, and of the latter's squares.
     after = np.empty_like(state)
     best, found = _correlate(after, state, expected, measured, 1 - time_step / _MEMORY)
     return after, best * time_step if found else math.nan

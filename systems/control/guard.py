@@ -66,9 +66,9 @@ class Guard(LeafSystem):
         - acting
 
     As long as nothing is wrong, `joint_command` is `wanted_command`, bit for bit. A command that
-    breaks a limit of the joints is not sent. What stops the probe stands in `guard_rules.RULES`. A
-    probe that touches the body, or may touch it, then retreats along its axis until it is free. The
-    controller commands again when there has been no cause to stop for a while.
+    breaks a limit of the joints is not sent. `guard_rules.RULES` lists the causes for which the
+    probe is stopped. A probe that touches the body, or may touch it, then retreats along its axis
+    until it is free. The controller commands again once there has been no such cause for a while.
 
     Two witnesses tell the force: the wrist's sensor, and the arm's `external_torque`, n numbers in
     N m. A force f at the face causes torques J^T f, so f is fitted to them with the weights of

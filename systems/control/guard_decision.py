@@ -1,4 +1,4 @@
-"""What the guard decides after one more look: to watch, to retreat or to hold."""
+"""Decision of the guard in each step: to watch, to retreat or to hold."""
 
 import math
 

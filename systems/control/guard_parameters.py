@@ -79,8 +79,9 @@ class GuardParameters:
     max_force
         Contact force at which the probe retreats, in N.
     disagreement
-        Difference in N of two witnesses of the force that is to be found. Half of it is laid to
-        their zeros and to the weight of the probe; a force below that half counts as none.
+        Difference in N between two witnesses of the force that must be noticed. Half of it is
+        attributed to their zeros and to the weight of the probe; a force below that half counts
+        as none.
     surface
         (3,) point on the surface of the body at rest, in W, in m. If empty, it is that of the
         station's phantom as configured; the guard never knows the phantom's true pose. Without a

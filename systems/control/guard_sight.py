@@ -1,4 +1,4 @@
-"""What the guard sees in one step, what it remembers of the steps before, and where it may be.
+"""Inputs of the guard in one step, its memory of the steps before, and the region it allows.
 
 Positions are of the probe's face in W, in m; an axis is the direction in W in which the probe
 looks. All are tuples of numbers, because the guard runs at every step of the controller.
@@ -98,7 +98,7 @@ class GuardMemory(NamedTuple):
         return [number for group in groups for number in group]
 
     def unpack(self, numbers: list[float]) -> "GuardMemory":
-        """Return the memory of which `pack` returned the numbers; ``self`` gives the sizes."""
+        """Return the memory with the numbers that `pack` returned; ``self`` gives the sizes."""
         left = iter(numbers)
         return GuardMemory._make(
             tuple(islice(left, len(each))) if isinstance(each, tuple) else next(left)

@@ -13,7 +13,7 @@ Floats = NDArray[np.float64]
 
 
 class Interval(NamedTuple):
-    """Ends of a 95 % confidence interval; `UNBOUNDED` if too few runs tell anything."""
+    """Ends of a 95 % confidence interval; `UNBOUNDED` if there are too few runs."""
 
     low: float
     high: float

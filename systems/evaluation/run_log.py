@@ -1,4 +1,4 @@
-"""The log of a run in which the robot follows a needle."""
+"""Log of a run in which the robot follows a needle."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field

@@ -1,4 +1,4 @@
-"""The leaf that logs a run in which the robot follows a needle."""
+"""Leaf system that logs a run in which the robot follows a needle."""
 
 from collections.abc import Mapping
 

@@ -1,4 +1,4 @@
-"""Checks of a source of volumes or frames: what a person asks before anything is tracked in it."""
+"""Checks of a source of volumes or frames, before anything is tracked in it."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -247,7 +247,7 @@ def check_motion(name: str, matrices: ArrayLike, times: ArrayLike) -> list[Findi
 
 
 def check_spacing(spacing: ArrayLike) -> list[Finding]:
-    """Check the distances between voxels, (3,) in mm, for what is written by who knows none."""
+    """Check the distances between voxels, (3,) in mm, for values that programs write by default."""
     steps = np.asarray(spacing, float)
     shown = " x ".join(f"{each:.4g}" for each in steps)
     if np.allclose(steps, 1.0, atol=1e-6):
@@ -256,7 +256,7 @@ def check_spacing(spacing: ArrayLike) -> list[Finding]:
 
 
 def check_volume(volume: Volume) -> list[Finding]:
-    """Check what a volume shows: its contrast, what of it is empty, and its speckle."""
+    """Check the contrast of a volume, its empty part and its speckle."""
     if float(volume.intensities.max()) - float(volume.intensities.min()) <= 0:
         return [_Fault.BLANK()]
     return [_check_empty(volume), _check_speckle(volume)]
@@ -351,7 +351,7 @@ def rows_of_matrices(texts: dict[int, str], count: int) -> NDArray[np.float64]:
 
 
 _LATEST, _STEPS = 0.25, 11
-"""Largest delay in s that is looked for, and number of delays that are tried."""
+"""Largest delay in s that is considered, and number of delays that are tried."""
 
 _SPACING = 1.2e-3
 _LEAST_VOXELS = 500
@@ -386,7 +386,7 @@ def _best_delay(earlier: Sequence[PosedFrame], later: Sequence[PosedFrame]) -> f
 
 
 def _likeness(earlier: Sequence[PosedFrame], later: Sequence[PosedFrame], delay: float) -> float:
-    """Return the correlation of two sweeps whose poses are late by so much; NaN if they miss."""
+    """Return the correlation of two sweeps whose poses are late by a delay; NaN if they miss."""
     frames = [*earlier, *later]
     order = np.argsort([frame.time for frame in frames], kind="stable")
     times = np.array([frames[k].time for k in order])
@@ -418,7 +418,7 @@ def _shifted(
     poses: NDArray[np.float64],
     delay: float,
 ) -> list[PosedFrame]:
-    """Return frames with the poses that were stamped so much later; those beyond the last go."""
+    """Return frames with poses stamped ``delay`` s later; frames past the last pose drop out."""
     shifted = []
     for frame in sweep:
         at = frame.time + delay

@@ -89,7 +89,7 @@ class TrackedVolumes:
 
 
 def finite_or_infinite(errors: Floats) -> Floats:
-    """Return errors in which those that nobody knows are infinite."""
+    """Return errors with infinity in place of unknown ones."""
     return np.where(np.isfinite(errors), errors, np.inf)
 
 
@@ -169,9 +169,8 @@ def conspicuous_length(volume: Volume, points: Floats) -> float:
     """Return the length of a needle that stands 6 dB or more over the tissue around it, in m.
 
     `points` are (n, 3) positions in P along the needle from entry to tip, in m, where the volume
-    would show them if its depth were right. Echo and tissue are mean grey levels, within 0.7 mm and
-    from 4 to 6 mm of the needle, over 3 mm along it. The depth is scaled by up to 8 % to where the
-    needle is brightest, as an image made with a wrong speed of sound shows it there.
+    would show them if its depth were right. The depth is scaled by up to 8 % to where the needle is
+    brightest, as a wrong speed of sound displaces it.
     """
     ends = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
     samples = np.arange(_STEP / 2, ends[-1], _STEP)

@@ -270,7 +270,7 @@ FORMATS: dict[str, Callable[[Path], ViewerLog]] = {".rrd": _RerunLog, ".mcap": _
 
 @dataclass(frozen=True, eq=False)
 class Surroundings:
-    """What a log of a run does not hold."""
+    """Sector and arm of a run, which its log does not hold."""
 
     sector: Sequence[Floats] = ()  # edges of the swept sector in P, in m
     arm_points: Callable[[Floats], Floats] | None = None

@@ -1,4 +1,4 @@
-"""Budget of memory for what files and settings ask for."""
+"""Budget of memory for files and settings."""
 
 import math
 import os

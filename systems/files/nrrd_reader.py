@@ -153,7 +153,7 @@ def _add_field(path: Path, fields: dict[str, str], line: str) -> None:
 
 
 class _Reader:
-    """What the header of a file says."""
+    """Header of a file, and the volumes that it describes."""
 
     def __init__(
         self, path: Path, header: Mapping[str, str], names: list[str], offset: int, frames: bool

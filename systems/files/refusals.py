@@ -47,7 +47,7 @@ def describe(error: BaseException) -> str:
 def refusing_failures(source: object, what: str = "") -> Iterator[None]:
     """Turn any failure inside into a ConfigurationError that begins with the source and ``what``.
 
-    It is the boundary around data from outside, where whatever fails is a fault of the data. A
+    It is the boundary around data from outside, where any failure is a fault of the data. A
     ConfigurationError names its own source and is left as it is.
     """
     try:

@@ -79,27 +79,27 @@ def require_frames(path: Path, frames: bool, what: str) -> None:
 
 @dataclass(frozen=True, eq=False)
 class VolumeFile:
-    """Volumes in a file, as its header describes them.
-
-    `directions` has the steps to the next voxel along each of the three axes as columns, and
-    `origin` is the place of the first voxel, in mm, in LPS. `read` returns the n-th volume in any
-    memory order, colours along a last axis, or raises `ConfigurationError` if data are missing.
-    `times` are (count,), in s. `fields` are those of the header by name; each of the `notes` is a
-    sentence for a person; `void` is the number that stands for what was not seen, if one is stated.
-    What is beyond the budget of memory is refused.
-    """
+    """Volumes in a file, as its header describes them; refused if beyond the budget of memory."""
 
     path: Path
     shape: tuple[int, int, int]
     count: int
     directions: NDArray[np.float64]
+    """(3, 3) steps to the next voxel along each axis, as columns, in mm in LPS."""
     origin: NDArray[np.float64]
+    """(3,) place of the first voxel in mm, in LPS."""
     read: Callable[[int], NDArray[Any]]
+    """Function that returns the n-th volume in any memory order, colours along a last axis, or
+    raises `ConfigurationError` if data are missing."""
     times: NDArray[np.float64] | None = None
+    """(count,) times in s."""
     fields: Mapping[str, str] = field(default_factory=dict)
+    """Fields of the header, by name."""
     notes: tuple[str, ...] = ()
+    """Sentences about the file for a person."""
     channels: int = 1
     void: float | None = None
+    """Number that stands for what was not seen, if one is stated."""
 
     def __post_init__(self) -> None:
         require_voxels(self.path, self.shape)
@@ -175,7 +175,7 @@ def _times(numbers: Iterable[float]) -> str:
 
 
 class FieldUse(StrEnum):
-    """What becomes of a field of a header."""
+    """Use that the reader makes of a header's field."""
 
     USED = "used"
     CHECKED = "checked"
@@ -281,7 +281,7 @@ def open_data(
     compressed: bool = False,
     skip: int = 0,
 ) -> DataSections:
-    """Open so many bytes of data that files share evenly."""
+    """Open ``size`` bytes of data that files share evenly."""
     each = size // max(len(files), 1)
     if each * len(files) != size or not files:
         raise ConfigurationError(

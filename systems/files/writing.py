@@ -162,7 +162,7 @@ def claim(handle: int, path: Path, other: str) -> None:
 
 
 class Closing(ABC):
-    """Base of what is closed at the end of a ``with`` block."""
+    """Base class of objects that are closed at the end of a ``with`` block."""
 
     def __enter__(self) -> Self:
         return self
@@ -172,4 +172,4 @@ class Closing(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """End the work; what it needs to be complete happens here."""
+        """Finish the work; nothing is complete before."""

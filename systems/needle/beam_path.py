@@ -1,4 +1,4 @@
-"""Path of a bevelled needle that is an elastic beam in tissue that holds it and yields to it.
+"""Path of a bevelled needle modelled as an elastic beam in tissue that holds it and yields to it.
 
 Unlike `SteeredPath`, the shaft does not follow the tip. The needle is a beam of stiffness EI,
 clamped in its template at x = 0 and held by the tissue, an elastic foundation of stiffness k
@@ -7,11 +7,11 @@ every step, the tip, which lies at the end of its cut, cuts on along its own tan
 slope aside. The shaft, which presses against its cut, cuts sideways through a part of what is
 between them. The deflection w and the cut c satisfy
 
-    EI w'''' + k (w - c) = 0,  w(0) = w'(0) = 0,  w(L) = c(L),  w''(L) = 0,
-    c(L + ds) = w(L) + (w'(L) +- slope) ds,  dc = (w - c) ds / yield length.
+    EI w'''' + k (w - c) = 0,    w(0) = w'(0) = 0,    w(L) = c(L),    w''(L) = 0,
+    c(L + ds) = w(L) + (w'(L) +- slope) ds,    dc = (w - c) ds / yield length.
 
-All of it is proportional to the slope. Its value follows from a radius R: a needle of 0.1 m that
-was never turned is as far aside as an arc of that radius.
+All deflections are proportional to the slope. Its value follows from a radius R: a needle of 0.1 m
+that was never turned is as far aside as an arc of that radius.
 """
 
 from dataclasses import dataclass

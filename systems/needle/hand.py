@@ -1,4 +1,4 @@
-"""Leaf systems that push a needle, as a hand or a template does, or as a person says."""
+"""Leaf systems that push a needle, as a hand or a template does, or to an operator's target."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -46,8 +46,8 @@ class Hand(LeafSystem):
 _PERIOD = 1 / 16  # sampling period of an operator's target, in s
 
 SPEED = 0.012
-"""Highest speed of the needle along its axis, in m/s. A needle that is pushed in much faster comes
-to rest before enough volumes show its motion, and is not detected."""
+"""Highest speed of the needle along its axis, in m/s: several volumes show a needle that is pushed
+no faster while it moves."""
 
 TURNING_DEG = 90.0  # highest rate at which the needle is turned about its axis, in deg/s
 

@@ -19,18 +19,21 @@ _DEPTHS = {"L": _L, "R": -_L, "P": _P, "A": -_P, "S": _S, "I": -_S}
 class FileGrid(Immutable):
     """Mapping of a file's axes to those of the probe frame P: order and signs, then a rotation.
 
-    Y of P is the file's axis closest to the depth. X of P is, of the other two, the axis closest to
-    L (to posterior if the depth is L or R). Z completes a right-handed frame. An array with
-    left-handed or permuted axes is therefore only viewed differently, never resampled, and gives
-    the same volume in P however it is stored. The grid's orientation goes into X_LP, the pose of P
-    in L: the file's own LPS, but in m. Origin and spacing are those in P, in m.
+    An array with left-handed or permuted axes is only viewed differently, never resampled.
     """
+
+    # Y of P is the file's axis closest to the depth. X of P is, of the other two, the axis closest
+    # to L (to posterior if the depth is L or R). Z completes a right-handed frame. An array gives
+    # the same volume in P however it is stored.
 
     order: tuple[int, int, int]
     flipped: tuple[bool, bool, bool]
     origin: NDArray[np.float64]
+    """(3,) place of the first voxel in P, in m."""
     spacing: NDArray[np.float64]
+    """(3,) distances between voxels along the axes of P, in m."""
     X_LP: RigidTransform
+    """Pose of P in L, the file's own LPS in m; it holds the grid's orientation."""
 
     def arrange(self, voxels: NDArray[Any]) -> NDArray[Any]:
         """Return a view of the file's voxels with the index [x, y, z] in P."""

@@ -33,7 +33,8 @@ class FileItems:
 
     what = "volume"
     looks, enough = 16, 4
-    """Numbers of first items among which those are that choose the grey levels, and of these."""
+    """Number of first items among which the grey levels are chosen, and number of items that
+    choose."""
 
     def __init__(
         self, path: str | Path, orientation: str, void: float | None, luminance: bool

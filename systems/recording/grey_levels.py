@@ -40,7 +40,7 @@ def grey_or_colours(pixels: NDArray[Any]) -> int:
 
 
 def as_frame(pixels: NDArray[Any], channels: int) -> NDArray[Any]:
-    """Return an image of so many channels as a volume of one layer, colours along a last axis."""
+    """Return an image of ``channels`` as a volume of one layer, colours along a last axis."""
     layer = pixels[:, :, np.newaxis]
     return layer[..., 0] if pixels.ndim == 3 and channels == 1 else layer
 
@@ -133,14 +133,11 @@ class GreyWindow(Immutable):
 
 
 def choose_window(*volumes: NDArray[Any]) -> GreyWindow:
-    """Choose a window for the volumes of a recording, by some of them; all must share it.
+    """Choose a window that all volumes of a recording share, by some of them.
 
-    8-bit numbers are grey levels and stay as they are. So do other numbers that look like grey
-    levels: they lie between 0 and 255 and their maximum is above half of that range. Floating-point
-    numbers between 0 and 1 are treated likewise and multiplied by 255. Otherwise the lowest number,
-    which also fills the space outside the field of view, becomes 0. The highest becomes 255, or the
-    99.9 % quantile if the highest is an outlier. The numbers should be log-compressed: take the
-    logarithm of linear amplitudes first. What is no number at all, or void, does not count.
+    8-bit numbers stay as they are, and so do others up to 255, or up to 1, whose maximum is above
+    half of that. Otherwise the lowest number becomes 0, and the highest, or the 99.9 % quantile
+    below an outlier, 255. The numbers should be log-compressed; void ones do not count.
     """
     if volumes[0].dtype == np.uint8:
         return GreyWindow(0, 255)
@@ -189,10 +186,10 @@ def window_of_first(volumes: Iterable[NDArray[Any]], enough: int) -> tuple[GreyW
 class GreyLevels:
     """Turns the numbers of a stream's volumes into grey levels, with one window for all of them.
 
-    Unless it is given, the window holds what the last volumes that showed something ask for
-    (`choose_window`), and is None before. A volume without any contrast chooses nothing, and is
-    black. Unless it is `held`, as while something is tracked, the window follows when a quarter
-    more or less would do: the first volume may have been dim, or a test picture.
+    Unless it is given, the window covers those of the last volumes that showed something
+    (`choose_window`), and is None before; a volume without contrast is black. Unless it is `held`,
+    as while something is tracked, it follows a change by a quarter: the first volume may have been
+    dim, or a test picture.
     """
 
     def __init__(self, window: tuple[float, float] | None = None) -> None:

@@ -27,12 +27,12 @@ class KnownTransform(Immutable):
 
 @dataclass(frozen=True)
 class PlusConfiguration(Immutable):
-    """What a device-set configuration says about images and their poses.
+    """Transforms by name, such as ``ImageToProbe``, and settings of a device-set configuration.
 
-    Transforms are by name, such as ``ImageToProbe``. `time_offset` is the time in s by which the
-    images' devices are set back against the trackers' (``LocalTimeOffsetSec``), which PLUS has
-    applied to what it records and sends. `clip` is first pixel and size, (i, j, ni, nj), of the
-    part of a frame that shows tissue (``ClipRectangleOrigin``, ``ClipRectangleSize``), if stated.
+    `time_offset` is the time in s by which the images' devices are set back against the trackers'
+    (``LocalTimeOffsetSec``), which PLUS has applied to what it records and sends. `clip` is first
+    pixel and size, (i, j, ni, nj), of the part of a frame that shows tissue
+    (``ClipRectangleOrigin``, ``ClipRectangleSize``), if stated.
     """
 
     transforms: dict[str, KnownTransform] = field(default_factory=dict)

@@ -29,9 +29,8 @@ def read_pose_table(path: Path, files: Sequence[str]) -> dict[str, str]:
     ``frame`` (from 0) tells which frame a row belongs to; without either, rows are in order.
     ``time`` is in s, ``time_ms`` in ms. A pose is ``x, y, z`` in mm with the unit quaternion ``qw,
     qx, qy, qz``, or the elements ``m00`` to ``m23`` of a matrix in mm. It is that of the probe in
-    the reference (``ProbeToReference``), unless the columns begin with another name, as
-    ``ImageToReference_m00``. A row that is not understood costs
-    its frame.
+    the reference (``ProbeToReference``), unless the columns begin with another name, such as
+    ``ImageToReference_m00``. A frame whose row cannot be read is left out.
     """
     if not path.is_file():
         raise ConfigurationError(f"{path}: there is no such table of poses")

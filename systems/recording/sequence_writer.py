@@ -17,14 +17,16 @@ _TYPE_NAMES = {"uint8": "uint8", "float32": "float"}
 
 
 class SequenceWriter(Closing):
-    """Writes a ``.seq.nrrd`` file with the list axis last, as 3D Slicer does today.
+    """Writes a ``.seq.nrrd`` file with the list axis last, as 3D Slicer does.
 
-    The format's header precedes the data and holds the number of arrays. During writing, data and
-    header are therefore separate files, ``NAME.partial.raw`` and ``NAME.partial.seq.nhdr``, and the
-    header is replaced after every array: after an interruption they are a valid sequence. `close`
-    joins them under the final name. Fields of the header with one entry per axis include that of
-    the list axis, except ``sizes``, ``labels`` and ``units``, which are added here.
+    Fields of the header with one entry per axis include that of the list axis, except ``sizes``,
+    ``labels`` and ``units``, which are added here.
     """
+
+    # The format's header precedes the data and holds the number of arrays. Until `close` joins them
+    # under the final name, data and header are therefore separate files, ``NAME.partial.raw`` and
+    # ``NAME.partial.seq.nhdr``. The header is replaced after every array, so that they are a valid
+    # sequence even after an interruption.
 
     def __init__(self, path: Path, header: Mapping[str, str]) -> None:
         if path.is_dir():

@@ -15,14 +15,10 @@ from sonoservo.systems.recording.transform_chain import TransformChain, find_cha
 
 
 class TrackedFrames(FileItems):
-    """2D frames with poses and times, read on demand, one at a time.
+    """2D frames with poses and times, read on demand; see `Recording` for the arguments it shares.
 
-    See `Recording` for the arguments it shares. A chain of ``poses`` that begins at the image maps
-    pixels, others mm in the frame. ``clip`` is first pixel and size, (i, j, ni, nj), of the part of
-    a frame that shows tissue. ConfigurationError if the file is not valid.
-
-    `X_WI` is (n, 4, 4), from pixels (i, j, 0, 1) to W, in m: the reference frame. `void` has the
-    numbers of the frames read so far that hold nothing.
+    `X_WI` (n, 4, 4) leads from pixels (i, j, 0, 1) to W, the reference frame, in m. A chain of
+    ``poses`` that begins at the image maps pixels, others mm in the frame.
     """
 
     what = "frame"
@@ -39,9 +35,9 @@ class TrackedFrames(FileItems):
         orientation: str = "",
         void: float | None = None,
         luminance: bool = False,
-        clip: tuple[int, int, int, int] | None = None,
+        clip: tuple[int, int, int, int] | None = None,  # first pixel and size, (i, j, ni, nj)
     ) -> None:
-        self.void: set[int] = set()
+        self.void: set[int] = set()  # numbers of the frames read so far that hold nothing
         with refusing_failures(path):
             super().__init__(path, orientation, void, luminance)
             chain = self._find_chain(poses, transforms)

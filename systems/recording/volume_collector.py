@@ -1,4 +1,4 @@
-"""The leaf that keeps every volume of a run in memory."""
+"""Leaf system that keeps every volume of a run in memory."""
 
 from pydrake.systems.framework import Context, LeafSystem
 

@@ -1,4 +1,4 @@
-"""The leaf that plays recorded volumes."""
+"""Leaf system that plays recorded volumes."""
 
 from collections.abc import Sequence
 from functools import lru_cache

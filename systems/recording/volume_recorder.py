@@ -1,4 +1,4 @@
-"""The leaf that records volumes, and the ground truth beside them."""
+"""Leaf system that records volumes, and the ground truth beside them."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -12,7 +12,7 @@ from sonoservo.systems.signals.ports import declare_inputs, evaluate
 def normal_force(
     contact: ContactResults, X_WT: RigidTransform, surface: BodySurface | None = None
 ) -> float:
-    """Return the force in N that presses the phantom's top inwards, summed over all contacts."""
+    """Return the force in N that presses the phantom's surface inwards, over all contacts."""
     total = np.zeros(3)
     normal = X_WT.rotation().matrix()[:, 2]
     place = None

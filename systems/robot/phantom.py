@@ -96,7 +96,7 @@ def AddPhantom(
 ) -> Phantom:
     """Add a phantom on its stage to a plant, with the stage's origin at the origin of W.
 
-    The contact is that of agar by default.
+    The contact is by default that of agar.
     """
     contact = contact or PhantomContact()
     (instance,) = Parser(plant).AddModels(str(model_path("phantoms/phantom.sdf")))

@@ -90,9 +90,8 @@ def dome_semi_axes(
 ) -> list[float]:
     """Return the (3,) semi-axes in m of an ellipsoid with the curvature of a transducer's face.
 
-    Its radii of curvature at the apex on Y are a^2 / b and c^2 / b: those of array and motor, 0 if
-    flat. Along a flat side (also a radius above 1 m) it extends 5 mm beyond the elements, which is
-    assumed.
+    Its radii of curvature at the apex on Y are those of array and motor, a^2 / b and c^2 / b. Along
+    a flat side (a radius of 0 or above 1 m) it is assumed to extend 5 mm beyond the elements.
     """
     array_radius, motor_radius = (r if r < _FLAT else 0.0 for r in (array_radius, motor_radius))
     b = motor_radius or array_radius or _MARGIN

@@ -1,4 +1,4 @@
-"""What the compiled kernels have in common: their options, and the hash that breaks ties."""
+"""Options that the compiled kernels share, and the hash that breaks ties."""
 
 from typing import Any
 

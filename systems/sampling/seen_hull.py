@@ -1,4 +1,4 @@
-"""What a picture shows of a body, judged by the picture alone."""
+"""Field of view of an image, judged by the image alone."""
 
 from typing import Any
 
@@ -19,21 +19,21 @@ def darkest(intensities: NDArray[Any]) -> float:
 def cut_level(darkest_level: float, decibels_per_level: float) -> float:
     """Return the level below which an image shows nothing; 0 if it shows all.
 
-    From an image whose darkest level that is not black is far above black, dark levels were
-    removed. Black then tells only that something is darker than that.
+    If the darkest level other than black is far above black, dark levels were removed. Black then
+    tells only that something is darker than that.
     """
     cut = np.isfinite(darkest_level) and darkest_level * decibels_per_level > _FAINTEST_CUT
     return darkest_level if cut else 0.0
 
 
 def seen_hull(intensities: NDArray[Any]) -> NDArray[np.bool_]:
-    """Return (nx, ny, nz) flags of what an image of unknown field of view seems to have seen.
+    """Return (nx, ny, nz) flags of the voxels seen by an image of unknown field of view.
 
-    That is the convex hull of what is not black: dark cysts, shadows and water lie in it. A probe's
-    face bulges into the body, and leaves a dent in the hull. Where most of the hull echoes, what is
-    dark before the first echo along Y, or beside the outermost echoes along X and Z, is therefore
-    not seen. Where little of it echoes, darkness tells nothing. Of a black image, all is seen. The
-    sound travels along Y.
+    These are the convex hull of what is not black, as dark cysts, shadows and water lie in it. A
+    probe's face bulges into the body and dents the hull. If most of the hull echoes, what is dark
+    before the first echo along Y (the direction of sound), or beside the outermost echoes along X
+    and Z, counts as not seen. If little of it echoes, darkness tells nothing. All of a black image
+    counts as seen.
     """
     bright = intensities > 0
     rows = bright.any(axis=0)

@@ -1,6 +1,6 @@
 """Cross-sections of a needle in axial slices, and estimators of a bevelled needle's shape.
 
-The package imports only `signals` and `sampling`.
+The package imports only `signals`.
 """
 
 from lazy_loader import attach_stub

@@ -94,9 +94,10 @@ class CrossSectionParameters:
         Observed depth in m from which the region of interest is centred on the predicted shape.
         Before that it is centred on the last cross-section.
     expected_std
-        Standard deviation along X and Y of a cross-section about its expected place, in m, beside
-        that of the predicted shape: the tissue shifts with the breath, and a needle turns by some
-        degrees. A match with another needle beside is as good, but needs a leap. Not with "match".
+        Standard deviation along X and Y of a cross-section about its expected place, in m, in
+        addition to that of the predicted shape: the tissue shifts with the breath, and a needle
+        turns by some degrees. Another needle nearby matches as well, but lies too far from that
+        place. Not used if ``position`` is "match".
     template
         Width w and height h of the template in m; the region of interest is 2w x 2h.
     deviations
@@ -195,7 +196,7 @@ def start_at(
 def find_first(
     images: Sequence[ImageSlice], parameters: CrossSectionParameters
 ) -> CrossSection | NotFound:
-    """Find the first cross-section in the newest of the slices since the last attempt."""
+    """Find the first cross-section in the newest of the slices since the last attempt began."""
     image = images[-1]
     if parameters.start is not None:
         reach = [max(each, parameters.start_reach) for each in parameters.search]

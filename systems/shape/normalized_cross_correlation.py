@@ -20,28 +20,24 @@ Rounding errors can be as large as this.
 
 @dataclass(frozen=True, eq=False)
 class Match(Immutable):
-    """Place at which a kernel was found. If it was not, a `NotFound` takes the match's place.
-
-    ``position`` is the (n,) fractional index of the kernel's first element, ``correlation`` the
-    largest coefficient on the grid, from 0 to 1. ``at_border`` flags the (n,) axes along which the
-    best match is the first or the last one that fits: a better one may lie beyond.
-    """
+    """Place at which a kernel was found, the (n,) fractional index of its first element."""
 
     position: Annotated[NDArray[np.float64], Shape(None)]
     correlation: float
     at_border: NDArray[np.bool_]
+    """(n,) flags of the axes along which the best match is the first or the last one that fits, so
+    that a better one may lie beyond."""
 
 
 def normalized_cross_correlation(search: ArrayLike, kernel: ArrayLike) -> NDArray[np.floating]:
     """Return the correlation coefficient of a kernel with every window of a search region.
 
-    The method is that of Lewis 1995. The equation is eq. 8 of Zhao 2012, in which the mean must be
-    that of each window. A circular Fourier transform gives the numerator; no window of the result
-    wraps around it. Running sums give the means and energies of the windows. The coefficient, from
-    -1 to 1, is 0 for a constant window or kernel. It is float32 if both inputs are, otherwise
-    float64; in single precision the error reaches 1e-3 if a window varies 1000 times less than the
-    search region. ValueError is raised if the shapes do not match or a value is not finite.
+    The equation is eq. 8 of Zhao 2012 with the mean of each window, computed as by Lewis 1995; a
+    constant window or kernel gives 0. In single precision the error reaches 1e-3 where a window
+    varies 1000 times less than the region. Raises ValueError if shapes or values are not usable.
     """
+    # A circular Fourier transform gives the numerator; no window of the result wraps around it.
+    # Running sums give the means and energies of the windows.
     whole, part = np.asarray(search), np.asarray(kernel)
     dtype = np.float32 if whole.dtype == part.dtype == np.float32 else np.float64
     whole = read_only(whole, "search", (None,) * whole.ndim, dtype)
@@ -87,13 +83,9 @@ def best_match(
 ) -> Match | NotFound:
     """Find the place in a search region at which a kernel correlates best, to subelement accuracy.
 
-    ``log_prior`` is the logarithm of the prior density of each place, over the number of cells of
-    speckle in the kernel; each of them tells -ln(1 - rho^2) / 2 for a place. With it, the most
-    probable of the peaks of at least the correlation ``least`` is taken.
-
-    The maximum is refined by the paraboloid through its neighbours. Along each axis, the curvature
-    puts the paraboloid's maximum at that of the cosine through the three values (Cespedes et al.
-    1995). This is exact for a carrier, and equals the parabola for a wide peak.
+    ``log_prior`` is the logarithm of each place's prior density over the number of cells of speckle
+    in the kernel, each of which contributes -ln(1 - rho^2) / 2. With it, the most probable of the
+    peaks with at least the correlation ``least`` is taken.
     """
     whole, part = np.asarray(search), np.asarray(kernel)
     if whole.ndim != part.ndim or np.any(np.array(part.shape) > whole.shape):
@@ -124,7 +116,11 @@ def best_match(
 
 
 def _peak_offset(around: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the (n,) offset of a maximum from the middle of its (3, 3, ...) neighbourhood."""
+    """Return the (n,) offset of a maximum from the middle of its (3, 3, ...) neighbourhood.
+
+    The paraboloid through the neighbours has its curvature along each axis from the cosine through
+    three values (Cespedes et al. 1995): exact for a carrier, and the parabola's for a wide peak.
+    """
     n = around.ndim
 
     def value(*steps: tuple[int, int]) -> float:

@@ -50,15 +50,12 @@ class ShapeLeastSquaresParameters(ShapeEstimatorParameters):
 
 @dataclass(frozen=True, eq=False)
 class FittedShape(Immutable):
-    """Most probable parameters of the shape.
-
-    ``parameters`` are x and y of the origin in m, phi and theta_0 in rad, and R in m, with their
-    (5, 5) ``covariance``; ``points`` are (m, 3) x, y and depth in I, in m, with (m,) ``weights``.
-    """
+    """Most probable x and y of the origin in m, phi and theta_0 in rad, and R in m."""
 
     parameters: Floats
     covariance: Floats
     points: Floats = field(default_factory=lambda: np.zeros((0, 3)))
+    """(m, 3) measured x, y and depth in I, in m."""
     weights: Floats = field(default_factory=lambda: np.zeros(0))
 
 

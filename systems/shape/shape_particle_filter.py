@@ -1,10 +1,10 @@
 """Particle filter for the shape of a needle whose parameters do not change.
 
 It replaces the filter of Carriere 2016, section IV. That filter chooses the best particle for each
-point separately and draws all particles towards these, and their spread vanishes whatever the data
-are. Here every particle is weighted by the joint likelihood of all cross-sections. When few
-particles carry most of the weight, they are resampled and moved by Metropolis steps that leave the
-posterior unchanged (Chopin 2002, "A sequential particle filter method for static models").
+point separately and draws all particles towards these, so their spread vanishes for any data. Here
+every particle is weighted by the joint likelihood of all cross-sections. When few particles carry
+most of the weight, they are resampled and moved by Metropolis steps that leave the posterior
+unchanged (Chopin 2002, "A sequential particle filter method for static models").
 """
 
 from dataclasses import dataclass, field, replace
@@ -27,26 +27,23 @@ from sonoservo.systems.signals.needle_shape import bicycle_paths
 Floats = NDArray[np.float64]
 
 _IMPOSSIBLE = 1e-4
-"""Probability of a level of the tissue's shift below which it is followed no longer."""
+"""Probability below which a level of the tissue's shift is dropped."""
 
 
 @dataclass(frozen=True, eq=False)
 class ParticleBelief(Immutable):
-    """Particles, and the measurements by which they were weighted.
-
-    ``particles`` are (n, 5): R in m, theta_0 and phi in rad, ln alpha, ln beta, with (n,)
-    ``log_weights`` up to a constant. ``sums``, ``moments`` and ``fits`` are those of
-    `ShapePosterior`; ``variance`` is the learned one of x and of y of a measurement, in m^2.
-    ``points`` are (m, 3) in I, in m.
-    """
+    """(n, 5) particles: R in m, theta_0 and phi in rad, ln alpha, ln beta; see `ShapePosterior`."""
 
     particles: Floats
     log_weights: Floats
+    """(n,) log weights of the particles, up to a constant."""
     sums: Floats
     moments: Moments
     fits: WanderFits | None
     variance: float
+    """Learned variance of x and of y of a measurement, in m^2."""
     points: Floats = field(default_factory=lambda: np.zeros((0, 3)))
+    """(m, 3) measurements in I, in m."""
     weights: Floats = field(default_factory=lambda: np.zeros(0))
     log_evidence: float = 0.0
 
@@ -171,9 +168,8 @@ class ShiftedBeliefs(Immutable):
 class ShapeParticleFilter:
     """Particle filters for static parameters, one for each level of the tissue's shift.
 
-    Tissue that breathes shifts neighbouring slices alike. Without a state for that, its shift would
-    count as a needle that bends to and fro. A filter integrates it out, given its level, and the
-    evidence weighs the levels.
+    Tissue that breathes shifts neighbouring slices alike, which would look like a needle that bends
+    to and fro. Each filter integrates out a shift of its level, and the evidence weighs the levels.
     """
 
     def __init__(self, parameters: ShapeParticleFilterParameters) -> None:

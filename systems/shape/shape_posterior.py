@@ -188,16 +188,14 @@ class ShapeParticleFilterParameters(ShapeEstimatorParameters):
 
 @dataclass(frozen=True, eq=False)
 class Moments(Immutable):
-    """Weighted moments of the measurements and of the modes at their depths.
-
-    ``points`` are (k + 1, 2) sums of x and y, in m, times a constant and each mode, ``square`` that
-    of their squares, in m^2, ``modes`` (k + 1, k + 1) sums of products of the constant and the
-    modes.
-    """
+    """Weighted moments of the measurements in m and of the k modes at their depths."""
 
     points: Floats
+    """(k + 1, 2) sums of x and y times a constant and each mode."""
     square: float
+    """Sum of their squares, in m^2."""
     modes: Floats
+    """(k + 1, k + 1) sums of products of the constant and the modes."""
 
     @property
     def total(self) -> float:
@@ -206,20 +204,19 @@ class Moments(Immutable):
 
 
 class WanderFits(NamedTuple):
-    """Fit of the wander for each of n particles; a first axis is in the plane and across it.
-
-    ``squares`` are (n,) weighted sums of squared residuals about the best origin and wander, with
-    the squares that the wander's prior adds, in m^2. ``log_determinant`` is by how much the wander
-    widens the data's distribution. ``rotation`` makes the k modes uncorrelated; ``mean`` holds the
-    (2, n, k) rotated coefficients in 1/m, ``shrinkage`` their variances over that of a measurement,
-    in 1/m^4.
-    """
+    """Fit of the wander for each of n particles; a first axis is in the plane and across it."""
 
     squares: Floats
+    """(n,) weighted squared residuals about the best origin and wander, plus the prior's part, in
+    m^2."""
     log_determinant: Floats
+    """(n,) logarithm of the factor by which the wander widens the data's distribution."""
     rotation: Floats
+    """(k, k) rotation that makes the modes uncorrelated."""
     mean: Floats
+    """(2, n, k) rotated coefficients, in 1/m."""
     shrinkage: Floats
+    """Their variances over that of a measurement, in 1/m^4."""
 
 
 @lru_cache(maxsize=16)

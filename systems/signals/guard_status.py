@@ -29,7 +29,7 @@ class GuardStatus(Immutable):
     interventions: int = 0
     """Number of interventions so far."""
     remark: str = ""
-    """What was noticed so far without a need to intervene; empty if nothing was."""
+    """Observations so far that needed no intervention; empty if there were none."""
 
     @property
     def stopped(self) -> bool:

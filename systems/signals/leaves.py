@@ -12,7 +12,7 @@ T = TypeVar("T")
 
 
 def declare_memory(system: LeafSystem, make: Callable[[], T]) -> Callable[[Context], T]:
-    """Declare a mutable object for each context of a system, and return what finds it there."""
+    """Declare a mutable object for each context of a system; return a function that finds it."""
     entry = system.DeclareCacheEntry(
         "memory",
         ValueProducer(lambda: Value[object](make()), ValueProducer.NoopCalc),

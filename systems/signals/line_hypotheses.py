@@ -32,8 +32,8 @@ class LineHypotheses(Immutable):
     """Probabilities of the `LINE_CLASSES`, by the motion alone."""
 
     looks: Annotated[Floats, Shape("n")]
-    """Log odds that a line is a needle, by its looks alone, averaged over the volumes that were
-    looked at."""
+    """Log odds that a line is a needle, by its looks alone, averaged over the volumes that judged
+    it."""
 
     looked: Annotated[Floats, Shape("n")]
     """Numbers of these volumes."""

@@ -5,7 +5,7 @@ from zlib import crc32
 import numpy as np
 
 HELD_OUT = range(100)
-"""Seeds of what is reported: methods are tuned on others, whose layouts and needles differ."""
+"""Seeds of reported results; methods are tuned on others, whose layouts and needles differ."""
 
 
 def random_stream(seed: int, purpose: str, time: float) -> np.random.Generator:

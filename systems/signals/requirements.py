@@ -13,7 +13,7 @@ from typing import Annotated, Any, TypeAlias, TypeVar, cast, get_args, get_origi
 T = TypeVar("T")
 
 MAX_TIME = 1e6
-"""Longest time that a scenario may ask for, in s: eleven days."""
+"""Longest time that a scenario may set, in s: eleven days."""
 
 
 def require(condition: bool, name: str, value: object, allowed: str) -> None:
@@ -28,7 +28,7 @@ def _is_finite(value: object) -> bool:
 
 @dataclass(frozen=True)
 class Bound:
-    """What is allowed of a value, in words and as a predicate; it goes into an ``Annotated``."""
+    """Allowed values in words and as a predicate, for an ``Annotated``."""
 
     allowed: str
     fits: Callable[[Any], bool]
@@ -68,7 +68,7 @@ def one_of(*words: str) -> Bound:
 
 
 def count_of(count: int, what: str = "numbers") -> Bound:
-    """Return the bound of a list with so many elements."""
+    """Return the bound of a list with a number of elements."""
     numerals = {2: "two", 3: "three", 6: "six"}
     return Bound(f"{numerals.get(count, count)} {what}", lambda value: len(value) == count)
 

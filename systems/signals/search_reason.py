@@ -1,6 +1,6 @@
 """Reasons for which a tracker finds no needle: their kinds, words for a person, and what to change.
 
-What a run changes are fields of its scenario; what a person with volumes changes are the volumes,
+Advice for a run names fields of its scenario; advice for a person's own volumes names the volumes
 and options of `sonoservo track`.
 """
 
@@ -13,7 +13,7 @@ from typing import Self
 
 @dataclass(frozen=True, eq=False)
 class _Search:
-    """What is said about a kind of reason."""
+    """Words and advice for a kind of reason."""
 
     begins: str
     """Beginning of the sentences of this kind, which may go on with figures."""

@@ -51,7 +51,7 @@ class Volume(Immutable):
     """Widths of a point's echo by depth; None if unknown."""
 
     mask: Annotated[NDArray[np.bool_], Shape("x", "y", "z", dtype=np.bool_)] | None = None
-    """Flags of the elements that were seen, if whoever made the volume knows them; see `seen`."""
+    """Flags of the elements that were seen, if the volume's source knows them; see `seen`."""
 
     def __post_init__(self) -> None:
         array = np.asarray(self.intensities)

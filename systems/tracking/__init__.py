@@ -1,7 +1,7 @@
 """One belief about the lines in the volumes, and the measurement and filters of the needle.
 
 The package finds a needle among all lines, localizes it in each volume and estimates it from all
-volumes so far. It imports only `signals` and `sampling`.
+volumes so far. It imports only `signals`, `sampling` and `shape`.
 """
 
 from lazy_loader import attach_stub

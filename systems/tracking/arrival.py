@@ -17,8 +17,8 @@ SPEEDS = (0.0, 3e-3, 8e-3, 16e-3, 30e-3)
 """Speeds at which a hand pushes a needle, in m/s; see `advances`."""
 
 GLINTS = (0.0, 1.0, 3.0)
-"""Speeds at which what is seen of a smooth line slides along it, relative to the probe's: where the
-probe turns, and on a hollow surface, it runs ahead."""
+"""Speeds at which the visible part of a smooth line slides along it, relative to the probe's: it
+runs ahead where the probe turns, and on a hollow surface."""
 
 _MOST = 12
 """Number of bins that a tip may pass between two volumes."""
@@ -41,7 +41,7 @@ _ENTERING = 0.7
 """Probability that a needle is first seen at the outer end of the part of its line in view."""
 
 _LARGEST = 20.0
-"""Largest logarithm of a bin's ratio: nothing is gained by more."""
+"""Largest logarithm of a bin's ratio; more would change nothing."""
 
 
 @lru_cache(maxsize=2)
@@ -106,27 +106,11 @@ def add_volume(
     renewed: Floats,
     prior: float,
 ) -> None:
-    """Add a volume to what is known of when each bin of each line arrived.
+    """Add a volume to ``logs``, (n, t, b) log ratios of each bin having arrived at one of t times.
 
-    What a bin shows is drawn anew, or it repeats itself: then it says nothing new, whatever is
-    there. Only what arrives with the volume is drawn in any case, so a bin that changes has either
-    just arrived or been drawn anew.
-
-    Parameters
-    ----------
-    logs
-        (n, t, b) log ratios of all contrasts since the bin arrived at one of t times, there against
-        not there; changed. The first time stands for "always", the last one for this volume's.
-    ratios
-        (n, b) log ratios of the volume's contrasts, shown against nothing; NaN where they are not
-        seen.
-    repeats
-        (n, b) densities of a repetition of the last volume's contrast, relative to nothing's; NaN
-        where that was not seen.
-    renewed
-        (n, b) probabilities that a bin is drawn anew since the last volume.
-    prior
-        Probability that a bin that is there shows itself.
+    A bin's echo is drawn anew, or it repeats itself and says nothing new; what arrives with the
+    volume is always drawn. ``ratios`` (log), ``repeats`` (density) and ``renewed`` (probability)
+    are (n, b), NaN where not seen; ``prior`` is the probability that a bin which is there shows.
     """
     drawn = prior * np.exp(ratios) + 1 - prior
     first = np.isnan(repeats)
@@ -139,7 +123,7 @@ def add_volume(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _stretches(factors: Any) -> Any:  # pragma: no cover - compiled
-    """Return (b + 1,) logs of what rests before each bin: all stretches there, against none."""
+    """Return (b + 1,) logs of the evidence before each bin for stretches at rest, against none."""
     absent, present = 1 - _BEGIN, _BEGIN
     result = np.zeros(len(factors) + 1)
     for b in range(len(factors)):
@@ -161,18 +145,9 @@ def _advancing(  # pragma: no cover - compiled
 ) -> float:
     """Return the log of the summed probability of all ends that advance along a line.
 
-    Parameters
-    ----------
-    factors
-        (t, b) likelihood ratios of each bin, if it arrived at each time.
-    before, beyond
-        (b + 1,) logs of what rests on either side of each place of the end.
-    first
-        (b + 1,) prior probabilities of the end's first place.
-    moves
-        (t, m, d) probabilities of the number of bins that it passes before each time, by speed.
-    start, change
-        (m,) prior probabilities of the first speed, and (m, m) of the next one from each.
+    ``factors`` are (t, b) likelihood ratios by time of arrival, ``before``, ``beyond`` and
+    ``first`` (b + 1,) by place of the end, and ``moves`` (t, m, d) probabilities of d bins at speed
+    m.
     """
     times, bins = factors.shape
     modes, most = moves.shape[1:]
@@ -281,25 +256,11 @@ def _class_logs(  # pragma: no cover - compiled
 def class_logs(
     logs: Floats, riding: Floats, appearing: Floats, moves: Floats, passing: Floats
 ) -> Floats:
-    """Return (n, 5) log evidence of each line: needle either way, resting, riding, appeared.
+    """Return (n, 5) log evidence of each line: needle from either end, resting, riding, appeared.
 
-    What of a smooth line at rest is seen depends on the angle at which sound meets it. So the end
-    of what is seen rests with the line, or it slides as one of the `GLINTS` does while a place in
-    the image moves along the line with the probe: as probable a priori, in either sense.
-
-    Parameters
-    ----------
-    logs
-        (n, t, b) log ratios by time of arrival; see `add_volume`. The first is "always".
-    riding
-        (n, b) log ratios of a line that keeps its place in the image.
-    appearing
-        (t,) prior logarithms of the probability that something appears at each time.
-    moves
-        (m, d) probabilities of a tip's `advances`.
-    passing
-        (n, t) bins by which a place in the image moved along each line in the tissue before each
-        time.
+    The visible part of a smooth line at rest depends on the angle of the sound. Its end rests or
+    slides like one of the `GLINTS`, as the image moves by ``passing`` (n, t) bins along the line;
+    both are as probable. ``logs`` are as of `add_volume`, and ``moves`` are `advances`.
     """
     all_moves = np.broadcast_to(moves, (logs.shape[1], *moves.shape))
     hand, probe = _hand(len(moves)), _hand(len(GLINTS))

@@ -10,24 +10,14 @@ from sonoservo.systems.signals.immutable import NotFound
 
 @dataclass(frozen=True, eq=False)
 class Axis:
-    """A polynomial curve over its projection on a principal direction.
-
-    This is eq. 16 of Chatelain 2013, with the curvilinear coordinate in metres along the principal
-    direction: C(a) = sum of c_i a^i for a = (v - origin) . k_0.
-
-    Parameters
-    ----------
-    origin
-        (3,) position where a = 0, in m.
-    direction
-        (3,) unit vector k_0.
-    coefficients
-        (n, 3) coefficients c_i: c_0 in m, c_1 dimensionless, c_2 in 1/m.
-    """
+    """Curve C(a) = sum of c_i a^i, with a = (v - origin) . k_0 in m (Chatelain 2013, eq. 16)."""
 
     origin: NDArray[np.float64]
+    """(3,) position where a = 0, in m."""
     direction: NDArray[np.float64]
+    """(3,) unit vector k_0."""
     coefficients: NDArray[np.float64]
+    """(n, 3) coefficients c_i: c_0 in m, c_1 dimensionless, c_2 in 1/m."""
 
     @property
     def order(self) -> int:
@@ -56,15 +46,7 @@ class Axis:
 def axis_through(
     points: NDArray[np.float64], along: NDArray[np.float64] | None = None
 ) -> Axis | NotFound:
-    """Fit an axis of order n through n points.
-
-    Parameters
-    ----------
-    points
-        (n, 3) points in m.
-    along
-        (3,) principal direction of any length; by default that from the first to the last point.
-    """
+    """Fit an axis of order n through (n, 3) points; ``along`` is by default from first to last."""
     along = points[-1] - points[0] if along is None else along
     length = float(np.linalg.norm(along))
     if not length > 0:

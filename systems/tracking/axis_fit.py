@@ -13,32 +13,20 @@ from sonoservo.systems.tracking.axis import Axis
 
 @dataclass(frozen=True, eq=False)
 class AxisFit:
-    """A least-squares axis with the quantities that give its precision.
-
-    Parameters
-    ----------
-    axis
-        The fitted axis; its origin is the points' weighted centroid.
-    normal_inverse
-        (n, n) inverse of the weighted normal matrix, for weights that sum to one.
-    scatter
-        (3, 3) weighted covariance of the residuals, in m^2; zero along the direction.
-    """
+    """A least-squares axis with the quantities that give its precision."""
 
     axis: Axis
+    """The fitted axis; its origin is the points' weighted centroid."""
     normal_inverse: NDArray[np.float64]
+    """(n, n) inverse of the weighted normal matrix, for weights that sum to one."""
     scatter: NDArray[np.float64]
+    """(3, 3) weighted covariance of the residuals, in m^2; zero along the direction."""
 
     def covariance(self, a: ArrayLike, independent: float) -> NDArray[np.float64]:
         """Return the (3m, 3m) covariance in m^2 of m positions on the axis, extrapolated or not.
 
-        Parameters
-        ----------
-        a
-            (m,) abscissae in m.
-        independent
-            Number of independent observations to which the points amount. It is below their number,
-            as voxels within one beam width repeat each other.
+        ``independent`` is the number of independent observations to which the points amount: fewer
+        than there are, as voxels within one beam width repeat each other.
         """
         powers = np.vander(np.asarray(a, dtype=float), self.axis.order, increasing=True)
         shape: NDArray[np.float64] = powers @ self.normal_inverse @ powers.T / independent
@@ -51,27 +39,13 @@ class AxisFit:
 def least_squares(  # pragma: no cover - compiled
     coordinates: Any, weights: Any, order: int, towards: Any
 ) -> Any:
-    """Fit an axis of order 2 or 3; the compiled core of `fit_axis` and of the consensus.
+    """Fit an axis of order 2 or 3 to (3, m) coordinates; core of `fit_axis` and the consensus.
 
-    In the scaled abscissa t, of mean 0 and variance 1, the normal matrix of 1 and t is the
-    identity. That of 1, t and t^2 follows from the skewness and the kurtosis of t.
-
-    Parameters
-    ----------
-    coordinates
-        (3, m) coordinates of the points, in m.
-    weights
-        (m,) weights, not negative.
-    order
-        Order n of the axis.
-    towards
-        (3,) vector to whose side the direction is turned; zero leaves either sense.
-
-    Returns
-    -------
-    Flag that is true if the points determine an axis; (2 + n, 3) origin, direction and
-    coefficients; (n, n) inverse of the normal matrix; (3, 3) scatter.
+    Return a flag that is true if they determine one, the (2 + n, 3) origin, direction and
+    coefficients, the (n, n) inverse of the normal matrix, and the (3, 3) scatter.
     """
+    # In the scaled abscissa t, of mean 0 and variance 1, the normal matrix of 1 and t is the
+    # identity. That of 1, t and t^2 follows from the skewness and the kurtosis of t.
     axis, inverse, scatter = np.zeros((2 + order, 3)), np.eye(order), np.zeros((3, 3))
     x, y, z = coordinates[0], coordinates[1], coordinates[2]
     total, used = weights.sum(), 0
@@ -149,26 +123,10 @@ def fit_axis(
     order: int,
     towards: ArrayLike = (0.0, 0.0, 0.0),
 ) -> AxisFit | NotFound:
-    """Fit an axis to points by weighted least squares.
+    """Fit an axis of order 2 or 3 to (m, 3) points by weighted least squares.
 
-    The direction is the principal direction of the weighted covariance (total least squares). For
-    order 2 this closed form is the axis. For order 3 the displacement across the direction is
-    regressed on powers of the abscissa.
-
-    Parameters
-    ----------
-    points
-        (m, 3) points in m.
-    weights
-        (m,) weights, not negative.
-    order
-        Order n: 2 for a straight axis, 3 for a bent one.
-    towards
-        (3,) vector to whose side the direction is turned; zero leaves either sense.
-
-    Returns
-    -------
-    The fit, or a `NotFound` if the points do not determine one.
+    It follows the principal direction of the weighted covariance, turned to the side of
+    ``towards``. For order 3, the displacement across it is regressed on powers of the abscissa.
     """
     towards = np.array(towards, float)  # writable, as the consensus has it: one kernel serves both
     solution = least_squares(np.ascontiguousarray(points.T), weights, order, towards)
@@ -176,17 +134,7 @@ def fit_axis(
 
 
 def assess_axis(axis: Axis, points: NDArray[np.float64], weights: NDArray[np.float64]) -> AxisFit:
-    """Return an axis unchanged, with the precision of a fit to points that scatter like these.
-
-    Parameters
-    ----------
-    axis
-        Axis that passes through at least n of the points.
-    points
-        (m, 3) points in m.
-    weights
-        (m,) weights, not negative.
-    """
+    """Return an axis unchanged, with the precision of a fit to points that scatter like these."""
     w = weights / weights.sum()
     a = axis.abscissa(points)
     powers = np.vander(a, axis.order, increasing=True)

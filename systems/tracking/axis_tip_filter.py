@@ -26,33 +26,22 @@ from sonoservo.systems.tracking.needle_motion import NeedleMotionParameters, con
 
 @dataclass(frozen=True, eq=False)
 class AxisTipState(Immutable):
-    """State X = (alpha, beta, p_t, v_t) of Zhao 2012, eq. 6, without the poles of the angles.
+    """State X = (alpha, beta, p_t, v_t) of Zhao 2012, eq. 6, with a unit vector for the angles.
 
-    The angles alpha and beta are singular along their pole, and wrap. They are replaced by a unit
-    vector, and their errors by those along two unit vectors across it. The entry follows from the
-    needle's length. It is at rest.
-
-    Parameters
-    ----------
-    time
-        Time for which the state holds, in s.
-    frame
-        (3, 3) rotation matrix. Its rows are two unit vectors across the needle and the needle's
-        direction k from entry to tip, in W.
-    tip, tip_velocity
-        (3,) position p_t in m and velocity v_t in m/s of the tip, in W.
-    length
-        Distance from the entry to the tip, in m.
-    P
-        (8, 8) covariance of the direction's two deviations in rad, the tip and its velocity.
+    Alpha and beta wrap, and are singular at the pole. The direction's errors are therefore taken
+    along two unit vectors across it. The entry is at rest, and follows from the needle's length.
     """
 
     time: float
     frame: Matrix3
+    """Rotation matrix whose rows are two unit vectors across the needle and its direction k, in W.
+    """
     tip: Vector3
     tip_velocity: Vector3
     length: float
+    """Distance from the entry to the tip, in m."""
     P: Annotated[NDArray[np.float64], Shape(8, 8)]
+    """Covariance of the direction's two deviations in rad, the tip and its velocity."""
 
     @property
     def direction(self) -> NDArray[np.float64]:
@@ -99,8 +88,8 @@ class AxisTipState(Immutable):
 def direction_angles(direction: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the (..., 2) angles alpha and beta in rad of (..., 3) directions, for reports only.
 
-    The paper defines the angles only in its figure 1. Here alpha is the azimuth from the first axis
-    towards the second, and beta is the angle from the third axis.
+    Zhao 2012 defines them only in its figure 1. Here alpha is the azimuth from the first axis
+    towards the second, and beta the angle from the third axis.
     """
     x, y, z = np.moveaxis(np.asarray(direction, dtype=float), -1, 0)
     return np.stack([np.arctan2(y, x), np.arctan2(np.hypot(x, y), z)], axis=-1)

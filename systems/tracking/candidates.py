@@ -30,8 +30,8 @@ def _voxels_near(  # pragma: no cover - compiled
 ) -> Any:
     """Find the voxels near an axis, each with a key by which to sort them.
 
-    Its first 16 bits are the number of the voxel's slab, the next 16 its darkness in 1/256 grey
-    level, and the last 32 scatter equal ones.
+    A key's first 16 bits are the number of the voxel's slab, the next 16 its darkness in 1/256 of a
+    grey level, and the last 32 order equal ones by hash.
     """
     capacity = 4096
     index = np.empty((capacity, 3), np.int32)
@@ -74,16 +74,7 @@ def _voxels_near(  # pragma: no cover - compiled
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """Candidate voxels.
-
-    Parameters
-    ----------
-    p_P
-        (m, 3) positions in the probe frame, in m.
-    weights
-        (m,) weights from 0 to 1 that rise with a voxel's intensity among the candidates of its
-        slab.
-    """
+    """(m, 3) candidates in P in m, with (m,) weights from 0 to 1 by brightness in their slab."""
 
     p_P: NDArray[np.float64]
     weights: NDArray[np.float64]
@@ -99,27 +90,11 @@ def select_candidates(
     cross_section: float,
     slab: float,
 ) -> Candidates:
-    """Select the brightest voxels around a predicted axis (Chatelain 2013, eq. 15).
+    """Select the brightest voxels around a predicted axis in P (Chatelain 2013, eq. 15).
 
-    The volume of interest follows the axis from ``start`` to ``stop``. It is cut into slabs across
-    the axis, and the threshold is an order statistic of each slab. The needle is some 20 dB
-    brighter at the place that a scan line meets at a right angle, and a common threshold would
-    leave candidates there only. The number of candidates grows with the predicted length.
-
-    Parameters
-    ----------
-    volume
-        Volume to search.
-    axis
-        Predicted axis in the probe frame, in m.
-    start, stop
-        Abscissae between which to search, in m.
-    radius
-        Radius of the volume of interest around the axis, in m.
-    cross_section
-        Area that the candidates fill across the axis, in m^2.
-    slab
-        Thickness of a slab, in m.
+    The region follows the axis from ``start`` to ``stop`` (m). Each slab across it has a threshold
+    of its own, by which ``cross_section`` (m^2) is filled: the needle is some 20 dB brighter where
+    the sound meets it at a right angle, and a common threshold would select voxels there only.
     """
     ends = axis.position(np.linspace(start, stop, 9))
     lower = np.floor((ends.min(axis=0) - radius - volume.origin) / volume.spacing)

@@ -25,8 +25,8 @@ _DARKEST, _BRIGHTEST = -6.0, 14.0
 """Limits of a cell's level above its surroundings, in dB."""
 
 _UNLIKE = 3.0
-"""Difference in dB of two cells' levels at which they tell half as much about a shift: what comes
-or goes in between does not move."""
+"""Difference in dB of two cells' levels at which they tell half as much about a shift: something
+that appears or vanishes between two volumes does not move."""
 
 _STEPS, _CONVERGED = 8, 0.02
 """Largest number of steps of the search for a shift, and length of a step that ends it, in cells.
@@ -62,21 +62,12 @@ def _cell_levels(  # pragma: no cover - compiled
 
 @dataclass(frozen=True, eq=False)
 class Cells:
-    """Levels of the cells of a volume, in dB above the mean of what lies around each.
-
-    Parameters
-    ----------
-    levels
-        (i, j, k) levels in dB, as float32; 0 where nothing was seen.
-    seen
-        (i, j, k) flags of the cells that were seen.
-    origin, edges
-        (3,) position in P of the first cell's centre, and edge lengths of the cells, in m.
-    """
+    """(i, j, k) levels of a volume's cells, in dB above the mean around each; 0 where unseen."""
 
     levels: NDArray[np.float32]
     seen: NDArray[np.bool_]
     origin: Floats
+    """(3,) position in P of the first cell's centre, in m."""
     edges: Floats
 
 
@@ -134,25 +125,11 @@ def _shift_equations(  # pragma: no cover - compiled
 def tissue_shift(
     now: Cells, before: Cells, X_BN: Floats, starts: list[Floats]
 ) -> tuple[Floats, Floats]:
-    """Return the shift by which the tissue moved between two volumes, beyond the probe's poses.
+    """Return the (3,) shift of the tissue in m, in P before, and (3, 3) information about it.
 
-    Breath, a late pose and a wrong calibration shift all that rests in the tissue alike, so one
-    shift a volume describes them (Lucas and Kanade 1981, with weights of a Cauchy distribution).
-
-    Parameters
-    ----------
-    now, before
-        Cells of the two volumes.
-    X_BN
-        (4, 4) pose of the probe now in its frame before, by its measured poses.
-    starts
-        (3,) shifts in m from which the search begins; the one that ends with the smallest
-        difference counts.
-
-    Returns
-    -------
-    (3,) shift in the probe's frame before, in m: what lies at p now lay at X_BN p + shift; and
-    (3, 3) information about it in 1/m^2, little or none where one of them shows nothing.
+    Breath, a late pose and a wrong calibration shift all tissue alike (Lucas and Kanade 1981, with
+    the weights of a Cauchy distribution). What lies at p now lay at ``X_BN`` p + shift. Of the
+    results from all ``starts``, the one with the smallest difference counts.
     """
     M = X_BN[:3, :3] * now.edges / before.edges[:, np.newaxis]
     offset = (X_BN[:3, :3] @ now.origin + X_BN[:3, 3] - before.origin) / before.edges

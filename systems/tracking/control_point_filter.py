@@ -18,17 +18,7 @@ from sonoservo.systems.tracking.needle_motion import NeedleMotionParameters, con
 
 @dataclass(frozen=True, eq=False)
 class ControlPointState(Immutable):
-    """State X = (p_1 ... p_n, their velocities) in W (Chatelain 2013, eq. 3).
-
-    Parameters
-    ----------
-    time
-        Time for which the state holds, in s.
-    mean
-        (6n,) stacked control points and their velocities, in m and m/s.
-    covariance
-        (6n, 6n) covariance P of the mean.
-    """
+    """State X = (p_1 ... p_n, their velocities) in W, in m and m/s (Chatelain 2013, eq. 3)."""
 
     time: float
     mean: Annotated[NDArray[np.float64], Shape("n")]

@@ -52,25 +52,10 @@ def measure_edge_velocity(
     direction: NDArray[np.float64],
     parameters: EdgeVelocimeterParameters,
 ) -> VelocityMeasurement | NotFound:
-    """Measure the tip's velocity by the ends of the needle's profiles along one and the same axis.
+    """Measure the tip's velocity in W by the ends of two profiles along one and the same axis.
 
-    Errors of the axis and the bias of the end cancel in the difference. The covariance follows from
-    the standard deviations of both ends, so a faint end, which may be misplaced, counts little.
-
-    Parameters
-    ----------
-    current, previous
-        Two volumes, best from sweeps in the same direction.
-    p_WBefore, p_WPredicted
-        (3,) expected positions of the tip in the previous and in the current one, in W, in m.
-    direction
-        (3,) unit vector of the needle in W.
-    parameters
-        Range of the profiles, and standard deviations.
-
-    Returns
-    -------
-    The mean velocity between the acquisitions, or a `NotFound` with the reason why there is none.
+    Errors of the axis and the bias of the end cancel in the difference. A faint end, which may be
+    misplaced, counts little by its standard deviation.
     """
     if not isinstance(current, Volume) or not isinstance(previous, Volume):
         return NotFound("the end of a needle is followed in volumes only")

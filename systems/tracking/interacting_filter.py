@@ -28,10 +28,9 @@ _AVERAGED = 0.05
 
 @dataclass(frozen=True, eq=False)
 class InteractingState(Immutable):
-    """Belief about the needle as it is seen, and about what is not seen of it.
+    """Belief about a needle that moves in four ways, with an end that moves in three.
 
-    There is a row for each of four motions of the needle as a whole and three of its end. With n
-    control points, d = 9n + 2.
+    With n control points, d = 9n + 2.
     """
 
     time: float
@@ -44,10 +43,10 @@ class InteractingState(Immutable):
     unless the end hides."""
 
     covariances: Annotated[Floats, Shape(12, "d", "d")]
-    """Covariances of the same."""
+    """Covariances of the means."""
 
     weights: Annotated[Floats, Shape(12)]
-    """Probabilities of the motions."""
+    """Probabilities of the twelve combinations."""
 
     constant: Annotated[Floats, Shape("3n", "3n")]
     """Covariance of an error that all measurements of the points have in common, in m^2."""
@@ -91,7 +90,7 @@ class InteractingState(Immutable):
 
     @property
     def covariance(self) -> Floats:
-        """(6n, 6n) covariance of the control points and their velocities over the models."""
+        """(6n, 6n) covariance of the control points and their velocities, over all motions."""
         return self._needle[1]
 
     def transformed(self, X: RigidTransform) -> "InteractingState":
@@ -218,7 +217,7 @@ class InteractingFilter:
             measurement.time,
             np.stack([mean] * 12),
             np.stack([advancing, P, hidden] * 4),
-            # Before anything is known, a hand that pushes is as probable as one that rests.
+            # At first, a hand that pushes is as probable as one that rests.
             np.kron([1, 1, 1, 0], [0.5 * (1 - unseen), 0.5 * (1 - unseen), unseen]) / 3,
             self._constant(measurement, R),
             measurement,
@@ -272,8 +271,8 @@ class InteractingFilter:
         if measurement is None:
             return state
         size = 3 * measurement.curve.order
-        # The measured direction jitters. Were the errors along it, an ever larger one along the
-        # needle would explain that, and the entry would slide away.
+        # The measured direction jitters. If the errors were along it, the filter would explain the
+        # jitter by an ever larger error along the needle, and the entry would slide away.
         axis = state.axis + (measurement.curve.direction - state.axis) * _AVERAGED
         axis = axis / np.linalg.norm(axis)
         turned = np.kron(np.eye(size // 3), _rotation(measurement.curve.direction, axis))
@@ -300,7 +299,7 @@ class InteractingFilter:
         corrected = P[:, np.newaxis] - gains @ CP
         weights = came[:, np.newaxis] * probabilities * np.exp(fits - fits.max())
         weights *= _beyond_end(found, corrected) / _beyond_end(mean, P)[:, np.newaxis]
-        # What was far apart before the volume is not any more, so it is merged only now.
+        # States that were far apart before the volume are close now, so they are merged only here.
         weights, means, covariances = (
             each.reshape(12, -1, *each.shape[2:]) for each in (weights, found, corrected)
         )
@@ -318,12 +317,10 @@ class InteractingFilter:
     def _switched(
         self, state: InteractingState, now: NeedleMeasurement
     ) -> tuple[Floats, Floats, Floats]:
-        """Return (36,) weights, means and covariances: an end may rest now, hide, or advance.
+        """Return (36,) weights, means and covariances before a measurement, as an end may switch.
 
-        They are those before a measurement by motion, the end's new way and its last one.
-
-        The farther the tip has advanced and the more the view of it has changed, the more of what
-        hides it is new.
+        They are ordered by motion, the end's new way and its last one. The farther the tip has
+        advanced and the more the view of it has changed, the more probably something new hides it.
         """
         before, dt = state.seen, now.time - state.seen.time
         size, k = 3 * now.curve.order, state.axis
@@ -362,7 +359,7 @@ class InteractingFilter:
         return came.ravel(), (T @ x)[..., 0].reshape(36, -1), P.reshape(36, *same.shape)
 
     def _constant(self, measurement: NeedleMeasurement, R: Floats) -> Floats:
-        """Return the covariance of the errors that all measurements have in common."""
+        """Return the covariance of the errors that all measurements share."""
         return self.constant * R + (0 if measurement.common is None else measurement.common)
 
     def _correlation(self, before: NeedleMeasurement, now: NeedleMeasurement) -> float:

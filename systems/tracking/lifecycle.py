@@ -36,17 +36,7 @@ class Lifecycle(Protocol):
         X_WP: RigidTransform,
         lines: LineHypotheses | NotFound,
     ) -> NeedlePrediction | NotFound:
-        """Return where to localize the needle in a volume.
-
-        Parameters
-        ----------
-        track
-            Track after the previous volume.
-        time, X_WP
-            Time of the volume in s, and pose of the probe.
-        lines
-            Lines that are followed, after the volume.
-        """
+        """Return where to localize the needle in a volume, from the track after the last one."""
 
     def next(
         self,
@@ -58,14 +48,4 @@ class Lifecycle(Protocol):
         velocity: VelocityMeasurement | NotFound,
         lines: LineHypotheses | NotFound,
     ) -> Track:
-        """Return the track after a volume.
-
-        Parameters
-        ----------
-        track
-            Track before the volume, seen from the probe's pose at the volume.
-        time
-            Time of the volume, in s.
-        detection, measurement, velocity, lines
-            Results of detector, localizer, velocimeter and line follower for the volume.
-        """
+        """Return the track after a volume, from the one before, seen from the probe's new pose."""

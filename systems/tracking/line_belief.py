@@ -1,9 +1,9 @@
 """One belief about all lines: each is followed, and the needle is the most probable of them.
 
-A needle's far end advances along its own axis; what rests in the tissue does not, and what rides
-along keeps its place in the image. The contrasts along a line have a likelihood under each of these
-classes (Musicki and Evans 2004; Ristic et al. 2013). No rule has to tell a needle from a guide
-wire, and a probe that moves needs none but that of one that rests.
+A needle's far end advances along its own axis. A line at rest keeps its place in the tissue, and
+one that rides along keeps its place in the image. The contrasts along a line have a likelihood
+under each of these classes (Musicki and Evans 2004; Ristic et al. 2013), so no rule has to tell a
+needle from a guide wire, whether the probe moves or not.
 """
 
 from collections.abc import Sequence
@@ -48,14 +48,14 @@ passes most of a bin in it. Over less, it looks like a line at rest whose echo c
 Lines that are judged by their looks need not wait."""
 
 _REMEMBERED = 14
-"""Number of volumes that a new line is looked for in, and of times of arrival that are told apart:
-what came before them was always there."""
+"""Number of volumes in which a new line is looked for, and of distinct times of arrival:
+anything that came before them counts as always there."""
 
 _SHOWS = 0.7
 """Probability that a bin of a line shows itself: speckle and shadows hide the others."""
 
 _OTHERS = np.array([0.7, 0.1, 0.2])
-"""Prior probabilities of a line that is no needle: resting, riding, and nothing but speckle."""
+"""Prior probabilities that a line which is no needle rests, rides or is nothing but speckle."""
 
 _NEEDLES = 0.004
 """Number of needles that come with a volume, one in some minutes: the more lines come with it, the
@@ -68,16 +68,16 @@ _MISTAKEN = 0.02
 """Probability that a better fit is that of another line."""
 
 _SHADOWED, _LIGHTER = 10.0, 0.5
-"""Fall of the level beside a bin in dB by which something shadows it, so that it tells nothing, and
-by how much that level may fall from volume to volume without a shadow."""
+"""Fall in dB of the level beside a bin at which the bin counts as shadowed and tells nothing, and
+the fall from volume to volume that is no shadow."""
 
 _APPEARS = 0.1
 """Ratio of the probability that a line appears at once, as a specular surface comes into view or a
 shadow goes, to that with which a bin is drawn anew; measured in volumes without a needle."""
 
 _NEUTRAL, _BEST_LOOKS, _MOST_LOOKS = -4.0, 2.0, (-20.0, 4.0)
-"""Log odds of a line's looks that speak neither for nor against a needle that moves like one (of
-some sixty bright lines, one is it), the largest that count then, and limits in one volume."""
+"""Log odds of looks that speak neither for nor against a needle (about one in sixty bright lines is
+one), the largest that count for a line that moves like a needle, and their limits in one volume."""
 
 _SAME, _OVERLAP, _BETTER = 3e-3, 10e-3, 4.0
 """Distance in m up to which the ends of two fits belong to one line, length in m by which its
@@ -97,26 +97,18 @@ than a cell, so its displacement is searched from there, too."""
 
 @dataclass(frozen=True, eq=False)
 class Remembered(Immutable):
-    """A volume with its cells, and how the tissue has moved in W since the first volume.
-
-    Parameters
-    ----------
-    volume, cells
-        Volume, and its cells.
-    displacement, velocity
-        (3,) displacement at the volume's time in m, and its rate of change in m/s: a sweep takes
-        long enough for breath to go on.
-    change, image_change
-        How the levels along lines changed since the volume before, at places in the tissue and in
-        the image.
-    """
+    """A volume with its cells, and how the tissue has moved in W since the first volume."""
 
     volume: Volume
     cells: Cells
     displacement: Floats
+    """(3,) displacement at the volume's time, in m."""
     velocity: Floats
+    """(3,) its rate of change in m/s: breath goes on during a sweep."""
     change: Change = ALL_NEW
+    """How levels changed along lines since the volume before, at places in the tissue."""
     image_change: Change = ALL_NEW
+    """How they changed at places in the image."""
 
     def in_tissue(self, p_P: Floats) -> Floats:
         """Return (n, 3) places in the tissue, in m, of (n, 3) positions in P."""
@@ -140,60 +132,41 @@ class Remembered(Immutable):
 
 @dataclass(frozen=True, eq=False)
 class Lines:
-    """Lines that are followed, with rows for each; all in the tissue's frame at the first volume.
-
-    Parameters
-    ----------
-    points, directions
-        (n, 3) points of abscissa 0 in m, and unit vectors.
-    spans
-        (n, 2) abscissae in m between which a line was seen.
-    image_points, image_directions
-        (n, 3) the same of the line that keeps its place in the image, in P.
-    logs
-        (n, t, BINS) see `add_volume`.
-    sides
-        (n, BINS) level beside each bin in dB, while nothing shadows it.
-    image_logs
-        (n, 1, BINS) the same along the line that keeps its place in the image.
-    image_levels
-        (n, BINS) levels along it in the newest volume in dB; NaN where it is not seen.
-    levels, contrasts
-        (n, BINS) the same of the line in the tissue, and contrasts.
-    prominence
-        (n,) evidence for a line, whatever it is, averaged over the last volumes.
-    looks, looked
-        (n,) sums of the log odds by looks, and numbers of volumes.
-    numbers
-        (n,) numbers by which the lines are known.
-    classes
-        (n, 6) logarithms of the probabilities of the classes, the needle's in either sense.
-    prior
-        (n, 5) logarithms of the prior probabilities of needle from either end, resting, riding and
-        nothing, to which all that is in ``logs`` is new.
-    past
-        (n, `_REMEMBERED`, 5) what was believed after each of the volumes remembered, oldest first.
-        A line that is fitted anew is looked for in them again, so the oldest becomes its prior.
-    """
+    """Lines that are followed, in the tissue's frame at the first volume, in m and dB."""
 
     points: Floats
+    """(n, 3) points of abscissa 0."""
     directions: Floats
     spans: Floats
+    """(n, 2) abscissae between which a line has been seen."""
     image_points: Floats
+    """(n, 3) point in P of the line that keeps its place in the image."""
     image_directions: Floats
     logs: Floats
+    """(n, t, BINS) log ratios by time of arrival; see `add_volume`."""
     sides: NDArray[np.float32]
+    """(n, BINS) level beside each bin while nothing shadows it."""
     image_logs: Floats
+    """(n, 1, BINS) log ratios along the line that keeps its place in the image."""
     image_levels: NDArray[np.float32]
+    """(n, BINS) levels along that line in the newest volume; NaN where unseen."""
     levels: NDArray[np.float32]
+    """(n, BINS) levels along the line in the tissue; NaN where unseen."""
     contrasts: NDArray[np.float32]
     prominence: Floats
+    """(n,) evidence for a line of any class, averaged over the last volumes."""
     looks: Floats
+    """(n,) sum of the log odds by looks, over the volumes counted in ``looked``."""
     looked: Floats
     numbers: Floats
+    """(n,) numbers by which the lines are known."""
     classes: Floats
+    """(n, 6) log probabilities: needle from either end, resting, riding, appeared, nothing."""
     prior: Floats
+    """(n, 5) log priors of the classes but "appeared", before anything in ``logs``."""
     past: Floats
+    """(n, `_REMEMBERED`, 5) log beliefs after each remembered volume, oldest first. A line that is
+    fitted anew is looked for in all of them again, so the oldest becomes its prior."""
 
     def __len__(self) -> int:
         return len(self.numbers)
@@ -234,32 +207,21 @@ _NONE = _new_lines(np.zeros((0, 2, 3)), np.zeros((0, 2, 3)), np.zeros(0), 1)
 
 @dataclass(frozen=True, eq=False)
 class LineBelief(Immutable):
-    """Belief about all lines after the volumes so far.
-
-    Parameters
-    ----------
-    memory
-        Last volumes, oldest first.
-    lines
-        Lines that are followed.
-    appearing
-        Logarithms of the prior probability that a line appeared, for each time of arrival; the
-        first stands for "always".
-    born, births
-        Number of lines so far, and how many come with a volume, averaged over the last ones.
-    time
-        Time of the newest volume in s; -inf before the first one.
-    """
+    """Belief about all lines after the volumes so far."""
 
     memory: tuple[Remembered, ...] = ()
+    """Last volumes, oldest first."""
     lines: Lines = field(default_factory=lambda: _NONE)
     appearing: tuple[float, ...] = (-50.0,)
+    """Log prior that a line appeared, by time of arrival; the first time stands for "always"."""
     born: int = 0
+    """Number of lines so far."""
     births: float = 0.0
+    """Number of lines that come with a volume, averaged over the last ones."""
     time: float = -np.inf
 
     def rested(self, volume: Volume) -> "LineBelief":
-        """Return the belief after a volume that nobody looks for lines in: they are forgotten."""
+        """Return the belief after a volume in which no line is sought: all are forgotten."""
         return LineBelief(born=self.born, births=self.births, time=volume.time)
 
     @property
@@ -287,17 +249,10 @@ class LineBelief(Immutable):
 
 
 def follow(belief: LineBelief, volume: Volume, *, look: bool = False) -> LineBelief:
-    """Return the belief after another volume; the same if it came too soon to show motion.
+    """Return the belief after a later volume; the same if it came too soon to show motion.
 
-    Parameters
-    ----------
-    belief
-        Belief before it.
-    volume
-        Volume, later than the ones before.
-    look
-        Whether all prominent lines are judged by their looks, not only those that move like a
-        needle. Looks need no motion, so no volume is too soon for them.
+    With ``look``, all prominent lines are judged by their looks, not only those that move like a
+    needle. Looks need no motion, so no volume is too soon for them.
     """
     if not look and belief.memory and volume.time < belief.time + _PACE:
         return belief
@@ -348,7 +303,7 @@ def follow(belief: LineBelief, volume: Volume, *, look: bool = False) -> LineBel
 
 
 def _passing(lines: Lines, memory: Sequence[Remembered], times: int) -> Floats:
-    """Return (n, t) bins by which a place in the image moved along lines before each arrival."""
+    """Return (n, t) bins by which the image moved along lines in tissue before each arrival."""
     p_P = memory[-1].in_image(lines.points)
     places = np.array([each.in_tissue(p_P) for each in memory[-times:]])
     steps = np.einsum("tni,ni->nt", np.diff(places, axis=0), lines.directions) / BIN
@@ -363,7 +318,7 @@ def _remember(volume: Volume, memory: Sequence[Remembered]) -> Remembered:
     last = memory[-1].displacement
     before = memory[-2].displacement if len(memory) > 1 else last
     guesses = [2 * last - before, *(last + _SHIFT * np.outer([0, -1, 1], [0, 0, 1]))]
-    # Whatever no volume tells, tissue lies near where it lay, and near where it rests.
+    # Where no volume tells, the tissue lies near where it lay last, and near where it rests.
     known = 2 * np.eye(3) / _SHIFT**2
     weighted = known @ (0.5 * last)
     for lag in range(1, len(memory) + 1):
@@ -404,7 +359,7 @@ def _shown_at(lines: Lines, each: Remembered) -> _Shown:
 
 @np.errstate(invalid="ignore")
 def _add(lines: Lines, shown: _Shown, each: Remembered, begun: int) -> None:
-    """Add what a volume shows to what is known of lines, for the arrivals so far."""
+    """Add what a volume shows to the evidence of the lines, for the arrivals so far."""
     beside = shown.along.levels - shown.along.contrasts
     lighter = np.maximum(lines.sides - _LIGHTER, beside)
     lines.sides[:] = np.where(np.isnan(beside), lines.sides, lighter)

@@ -1,4 +1,4 @@
-"""Contrast of a line with what lies beside it, and what it tells about the line."""
+"""Contrast of a line with what lies beside it, and its likelihood if the line is there or not."""
 
 import math
 from typing import Any, NamedTuple
@@ -35,10 +35,10 @@ _RARE = 0.06
 """Share of the second Gaussian."""
 
 _DARKEST = -8.0
-"""Contrast in dB below which a bin tells no more: something bright lies beside the line."""
+"""Contrast in dB below which a bin tells no more, as something bright lies beside the line."""
 
 _SUREST = 3.3
-"""Largest logarithm of the ratio: what one bin can tell, given structures that nobody modelled."""
+"""Largest logarithm of the ratio that a bin can contribute, as some structures are not modelled."""
 
 _ROUNDS = 12
 """Rounds after which `change_between` has settled."""
@@ -73,23 +73,11 @@ def _side(intensities: Any, volume_seen: Any, x: float, y: float, z: float) -> A
 def _line_levels(  # pragma: no cover - compiled
     intensities: Any, volume_seen: Any, starts: Any, steps: Any, across: Any, count: int
 ) -> Any:
-    """Return the levels of lines, and beside them; NaN where they are not seen.
+    """Return (n, count) grey levels of lines, and beside them; NaN where they are not seen.
 
-    Parameters
-    ----------
-    intensities, volume_seen
-        Grey levels, and flags of those that were seen.
-    starts, steps
-        (n, 3) fractional indices of each line's first bin, and differences between its bins.
-    across
-        (n, 2, 3) differences of index for 1 m along two directions across each line.
-    count
-        Number of bins.
-
-    Returns
-    -------
-    (n, count) grey levels of the core, and of the second brightest of eight sectors of the ring. A
-    sheet has two sectors as bright as the line.
+    ``starts`` and ``steps`` are fractional indices, and ``across`` (n, 2, 3) indices per m. The
+    level beside is that of the second brightest of eight sectors: a sheet has two as bright as the
+    line.
     """
     nx, ny, nz = intensities.shape
     levels = np.full((len(starts), count), np.nan, np.float32)
@@ -154,10 +142,9 @@ def _line_levels(  # pragma: no cover - compiled
 def _cross_sections(  # pragma: no cover - compiled
     intensities: Any, volume_seen: Any, starts: Any, steps: Any, across: Any, radii: Any, count: int
 ) -> Any:
-    """Return mean levels on circles around lines, and the shares of them that are seen.
+    """Return (n,) grey levels of lines, (n, r, 8) of sectors around them, and shares seen.
 
-    Arguments as of `_line_levels`, and (r,) radii of the circles in m. Returns (n,) grey levels
-    of the cores, (n, r, 8) of the sectors, and (n, r, 8) shares.
+    Arguments as of `_line_levels`, and (r,) radii of the circles in m.
     """
     lines, circles = len(starts), len(radii)
     cores = np.zeros(lines)
@@ -203,34 +190,18 @@ def across(directions: Floats) -> Floats:
 
 
 class LineLevels(NamedTuple):
-    """What a volume shows along n lines.
-
-    Parameters
-    ----------
-    levels
-        (n, BINS) levels of the line in dB; NaN where they are not seen.
-    contrasts
-        (n, BINS) the same above the second brightest side.
-    """
+    """(n, BINS) levels of lines and contrasts with the second brightest side, in dB; NaN unseen."""
 
     levels: NDArray[np.float32]
     contrasts: NDArray[np.float32]
 
     def where(self, seen: NDArray[np.bool_]) -> "LineLevels":
-        """Return what is seen where a flag is set, too."""
+        """Return the levels and contrasts where a flag is set; NaN elsewhere."""
         return LineLevels(*(np.where(seen, each, np.float32(np.nan)) for each in self))
 
 
 def line_levels(volume: Volume, points: Floats, directions: Floats) -> LineLevels:
-    """Return the levels and contrasts along lines in a volume.
-
-    Parameters
-    ----------
-    volume
-        Volume to sample.
-    points, directions
-        (n, 3) points of abscissa 0 in P, in m, and unit vectors along the lines.
-    """
+    """Return the levels and contrasts along lines through (n, 3) points in P, in m."""
     levels, beside = _line_levels(
         volume.intensities,
         volume.seen,
@@ -246,24 +217,11 @@ def line_levels(volume: Volume, points: Floats, directions: Floats) -> LineLevel
 def cross_sections(
     volume: Volume, ends: Floats, radii: Floats, count: int = 24
 ) -> tuple[Floats, NDArray[np.float64]]:
-    """Return the cross-sections of lines, averaged along them.
+    """Return the mean cross-sections of lines between (n, 2, 3) ends in P.
 
-    Parameters
-    ----------
-    volume
-        Volume to sample.
-    ends
-        (n, 2, 3) ends of the lines in P, in m.
-    radii
-        (r,) radii of circles around them, in m.
-    count
-        Number of cross-sections that are averaged.
-
-    Returns
-    -------
-    (n, r, 8) levels in dB of the line above the circles' sectors, NaN where they are not seen, and
-    (n, r, 8) shares of the sectors that are. The first sector lies level beside the line, the third
-    above it.
+    They are averages over ``count``: (n, r, 8) levels in dB of the line above the sectors of
+    circles of (r,) radii in m, NaN where unseen, and the shares seen. The first sector lies level
+    beside the line, the third above.
     """
     along = ends[:, 1] - ends[:, 0]
     directions = along / np.linalg.norm(along, axis=1, keepdims=True)
@@ -305,23 +263,17 @@ def log_ratio(contrasts: NDArray[Any]) -> Floats:
 
 
 class Change(NamedTuple):
-    """How what is seen along lines changes from one volume to the next.
-
-    Parameters
-    ----------
-    renewed
-        Share of the bins that are drawn anew: other speckle, a shadow, a surface that shines.
-    deviation
-        Standard deviation in dB of the levels that repeat themselves: noise, and what the place
-        from which they are taken is out by.
-    """
+    """How levels along lines change from one volume to the next."""
 
     renewed: float
+    """Share of the bins that are drawn anew: other speckle, a shadow, a surface that shines."""
     deviation: float
+    """Standard deviation in dB of levels that repeat themselves, by noise and misplaced sampling.
+    """
 
 
 ALL_NEW = Change(1.0, 1.0)
-"""What is shown where nothing was shown before."""
+"""Change since a volume that did not show the line."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -340,14 +292,7 @@ def _nothing(contrasts: NDArray[Any]) -> Floats:
 def repeat_ratio(now: LineLevels, before: NDArray[Any], change: Change) -> Floats:
     """Return the densities of levels that repeat those before, relative to those of nothing new.
 
-    Parameters
-    ----------
-    now
-        What is seen now.
-    before
-        (n, BINS) levels in dB before; NaN where they were not seen, and then in the result.
-    change
-        How levels change between the two.
+    ``before`` are (n, BINS) levels in dB, NaN where they were not seen; so is the result.
     """
     steps = np.asarray(now.levels - before, np.float64) / change.deviation
     return np.exp(-0.5 * steps**2) / change.deviation / _nothing(now.contrasts)

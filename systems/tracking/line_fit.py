@@ -20,11 +20,11 @@ LINES = 100
 of the harder world in nine of ten."""
 
 _REACHES = (4e-3, 3e-3, 2e-3)
-"""Largest displacements of the ends in successive fits, in m: the distance and the angle between
-lines that are searched, and less between the ends found then."""
+"""Largest displacements of the ends in successive fits, in m: first the distance between the lines
+that are searched, then less."""
 
 _STEPS = np.array([1e-3, 0.5e-3])
-"""Displacements that are tried, in m: a voxel or two, and half of that."""
+"""Displacements that are tried, in m: about a voxel or two, and half of that."""
 
 _SHORTEST = 3
 """Smallest number of bins of a line."""
@@ -35,21 +35,13 @@ _LEAST = 6.0
 
 @dataclass(frozen=True, eq=False)
 class FittedLine:
-    """A stretch of a volume that is brighter than what lies beside it.
-
-    Parameters
-    ----------
-    ends
-        (2, 3) ends in P, in m.
-    brightness
-        Sum of its bins' contrasts in dB, by which fits of one line are compared.
-    evidence
-        Sum of the logarithms of its bins' likelihood ratios, a line against nothing.
-    """
+    """A line that is brighter than what lies beside it, with (2, 3) ends in P, in m."""
 
     ends: Floats
     brightness: float
+    """Sum of its bins' contrasts in dB, by which fits of one line are compared."""
     evidence: float
+    """Sum of its bins' log likelihood ratios, of a line against nothing."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -78,20 +70,8 @@ def _brightest_line(  # pragma: no cover - compiled
 ) -> Any:  # fmt: skip
     """Return the (2, 2) displacements in m of a line's ends that make its mean level largest.
 
-    Parameters
-    ----------
-    intensities, seen
-        Grey levels, and flags of those that were seen.
-    start, stop
-        (3,) fractional indices of the ends.
-    across
-        (2, 3) differences of index for 1 m along two directions across the line.
-    count
-        Number of samples along the line.
-    reach
-        Largest displacement, in m.
-    steps
-        Displacements that are tried, coarse ones first, in m.
+    ``start`` and ``stop`` are fractional indices, and ``across`` (2, 3) indices per m. The
+    ``steps`` in m are tried in turn, coarse ones first, up to ``reach``.
     """
     best, moved, before = -1.0, np.zeros((2, 2)), np.zeros((2, 2))
     first, last = np.zeros(3), np.zeros(3)
@@ -148,15 +128,7 @@ def brightness(contrasts: NDArray[Any]) -> Floats:
 
 
 def fitted_lines(volume: Volume, cells: Cells, count: int = LINES) -> list[FittedLine]:
-    """Return the bright lines of a volume, moved to where each is brightest, brightest first.
-
-    Parameters
-    ----------
-    volume, cells
-        Volume to search, and its cells.
-    count
-        Number of bright lines that are fitted.
-    """
+    """Return up to ``count`` bright lines, each moved to where it is brightest, brightest first."""
     middles, k = bright_lines(cells, count)
     ends = middles[:, np.newaxis] + HALF_LENGTH * np.array([[-1.0], [1.0]]) * k[:, np.newaxis]
     values = sums = np.zeros(len(ends))

@@ -27,11 +27,11 @@ class LineFollower(LeafSystem):
         - belief
         - explanation
 
-    ``estimate`` is the `NeedleEstimate` before the volume. While it shows the needle, nobody needs
-    the other lines, and they are forgotten. ``lines`` are the `LineHypotheses` after the volume
-    at the input, and ``belief`` the `LineBelief` from which they follow; they are a `NotFound` if
-    there are none. They depend on the state, on the estimate and on that volume. ``explanation`` is
-    the `LinesExplanation` of the lines, computed only where it is asked for.
+    ``estimate`` is the `NeedleEstimate` before the volume. While it shows the needle, the other
+    lines are not needed, and they are forgotten. ``lines`` are the `LineHypotheses` after the
+    volume at the input, and ``belief`` the `LineBelief` from which they follow; they are a
+    `NotFound` if there are none. They depend on the state, on the estimate and on that volume.
+    ``explanation`` is the `LinesExplanation` of the lines, computed on demand.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What tells a needle from other bright lines in one volume: its looks."""
+"""Looks of a line in a single volume, which tell a needle from other bright lines."""
 
 import math
 import warnings
@@ -27,7 +27,7 @@ _POINTS = _RADII[_WIDTH, np.newaxis, np.newaxis] * _SIDES
 sectors, and (r, 8, 2) those points in m."""
 
 _AMPLITUDE = 0.35
-"""Share of the line's amplitude below which a point of the cross-section is no part of it."""
+"""Share of the line's amplitude below which a point does not belong to the cross-section."""
 
 _WIDTHS = 0.3, 1.4
 """Limits of a line's width relative to the beam's: wider lines count alike."""
@@ -72,29 +72,17 @@ def line_looks(
     entry_gap: Floats,
     tip_gap: Floats,
 ) -> dict[str, Floats]:
-    """Return what tells needles from other bright lines, each (n,).
+    """Return the looks of lines, each (n,), from the entry's end to the tip's in P; gaps in m.
 
-    A needle is as narrow as the beam, and at most one side is as bright, as it may reverberate. A
-    sheet is wide, with two such sides. The surface of a bone or the border between two tissues has
-    unlike sides above and below. A sheet, or the wall of a vessel, brightens what lies below; a
-    needle shades it. A needle comes from the side of the field of view, goes down rather than up,
-    and ends within. Fibres and calcifications are short. Far from the lens's focus, a point is
-    drawn out to a streak across the frames.
-
-    Parameters
-    ----------
-    volume
-        Volume with the lines.
-    ends
-        (n, 2, 3) ends of the lines in P, the one on the entry's side first, in m.
-    evidence
-        (n,) sums of the logarithms of the likelihood ratios of their bins.
-    clutter
-        Median evidence of all bright lines of the volume: where there are many, one more tells
-        little.
-    entry_gap, tip_gap
-        (n,) distances from the side of the field of view to the first and the second end, in m.
+    ``clutter`` is the median evidence of the volume's bright lines: where there are many, one more
+    tells little. Gaps are distances from the side of the field of view.
     """
+    # A needle is as narrow as the beam, and at most one side is as bright, where it reverberates. A
+    # sheet is wide, with two such sides. A bone's surface, or the border of two tissues, has unlike
+    # sides above and below. A sheet, or the wall of a vessel, brightens what lies below; a needle
+    # shades it. A needle comes from the side of the field of view, goes down rather than up, and
+    # ends within. Fibres and calcifications are short. Far from the lens's focus, a point is drawn
+    # out to a streak across the frames.
     along = ends[:, 1] - ends[:, 0]
     length = np.linalg.norm(along, axis=1)
     k = along / length[:, np.newaxis]
@@ -129,7 +117,7 @@ def line_looks(
 
 
 def _limited(values: Floats, lowest: float, highest: float) -> Floats:
-    """Return differences of levels within limits; 0, within them, where nothing is seen."""
+    """Return differences of levels clipped to limits, as if they were 0 where nothing is seen."""
     return np.asarray(np.clip(np.nan_to_num(values), lowest, highest))
 
 
@@ -139,9 +127,9 @@ def _amplitudes(contrasts: Floats) -> Floats:
 
 
 def _blur(volume: Volume, ends: Floats, k: Floats) -> Floats | None:
-    """Return the (n, 2, 2) covariances in m^2 of points' echoes across lines along (n, 3) k.
+    """Return the (n, 2, 2) covariances in m^2 of points' echoes across lines, averaged along each.
 
-    They are those on average along each line; None if the volume does not tell the beam's width.
+    None if the volume does not tell the beam's width. ``k`` are the lines' (n, 3) directions.
     """
     n = len(ends)
     covariance = echo_covariance(volume, np.linspace(ends[:, 0], ends[:, 1], 3).reshape(-1, 3))
@@ -161,10 +149,7 @@ def _spread(blur: Floats | None, circles: slice) -> Floats | float:
 
 
 def _relative_width(blur: Floats | None, section: Floats) -> Floats | float:
-    """Return the largest widths of cross-sections, relative to the beam's there.
-
-    ``section`` are (n, r, 8) levels of the lines above the circles' sectors, in dB.
-    """
+    """Return the largest widths of (n, r, 8) cross-sections in dB, relative to the beam's there."""
     if blur is None:
         return 1.0
     amplitude = np.nan_to_num(np.clip(10 ** (-section / 20) - _AMPLITUDE, 0, None))

@@ -21,8 +21,8 @@ _UNIT = 0.125
 the other half's, times eleven, is still a short whole number."""
 
 _DARK_SIDES, _UNEVEN = -8, 16
-"""Level above the surroundings at which sides get no darker, as shadows would otherwise make the
-tissue beside them a line; and largest contrast of a line above that of its darker half."""
+"""Level above the surroundings below which sides get no darker, as tissue between two shadows would
+otherwise pass for a line; and largest contrast of a line above that of its darker half."""
 
 HALF_LENGTH, _BESIDE, _STEP, _APART = 10e-3, 4.5e-3, 0.2, 4e-3
 """Half the length of a line and distance of the parallel lines in m, angle between neighbouring
@@ -35,23 +35,10 @@ def _line_contrasts(  # pragma: no cover - compiled
 ) -> Any:
     """Return the largest contrast of a line centred on each cell, and the number of its direction.
 
-    All sums are of short whole numbers, many of which a processor adds at once.
-
-    Parameters
-    ----------
-    levels
-        (n,) levels of all cells above their surroundings in `_UNIT`, with margins between their
-        rows and a further one at either end.
-    margin
-        Length of the margin at either end.
-    along, beside
-        (d, h) and (d, b) differences of index between the centre of a line in each of d directions
-        and the cells of one half of it, and between the line and those beside it.
-
-    Returns
-    -------
-    (n,) contrasts in `_UNIT`, times h and the number of a line's cells; and (n,) directions.
+    ``along`` (d, h) and ``beside`` (d, b) are differences of index, for a half of a line in each of
+    d directions and the lines beside it. Contrasts are in `_UNIT`, times h and the cells of a line.
     """
+    # All sums are of short whole numbers, many of which a processor adds at once.
     n, half = len(levels) - 2 * margin, np.int16(along.shape[1])
     cells_of_line = np.int16(2 * half + 1)
     best, direction = np.zeros(n, np.int16), np.zeros(n, np.int16)
@@ -152,23 +139,10 @@ def _all_contrasts(levels: Any, margin: int, along: Any, beside: Any) -> tuple[A
 
 
 def bright_lines(cells: Cells, count: int) -> tuple[Floats, Floats]:
-    """Find the lines of a volume that are brighter than their surroundings on all sides.
+    """Return (n, 3) middles in P and unit vectors of lines that outshine all sides, best first.
 
-    A line's level is the mean of the cells along it, and its contrast is that level above the
-    brightest of the parallel lines beside it. Speckle is averaged along the line; a sheet is as
-    bright beside the line as on it; a compact inclusion fills one half of the line only. All cells
-    and directions are tried.
-
-    Parameters
-    ----------
-    cells
-        Cells of the volume.
-    count
-        Largest number of lines.
-
-    Returns
-    -------
-    (n, 3) middles in P, in m, and (n, 3) unit vectors, most prominent first.
+    A line's contrast is its mean level above the brightest of the parallel lines beside it. Speckle
+    averages out along it; a sheet is as bright beside it; an inclusion fills one half of it only.
     """
     levels, edges = cells.levels, cells.edges
     pitch = float(edges.mean())

@@ -17,8 +17,7 @@ _measured_spread = lru_cache(maxsize=1)(speckle_spread)
 """Widths measured from a volume's speckle; all axes tried in a volume ask for them."""
 
 _FINEST = 1e-3
-"""Standard deviation in m with which a line's course is known at best, by which a point's echo
-counts as blurred further."""
+"""Standard deviation in m of a line's course at best, by which an echo counts as blurred, too."""
 
 
 def needle_blur(
@@ -27,29 +26,14 @@ def needle_blur(
     along: NDArray[np.float64],
     beam_width: float | None,
 ) -> NDArray[np.float64] | None:
-    """Return the widths of a needle's blurred end at points of its axis.
+    """Return the (m,) full widths at half maximum in m of a needle's blurred end, along its axis.
 
-    On the axis, the end is blurred with a standard deviation of 1 / sqrt(k^T Sigma^-1 k), with
-    Sigma the covariance of the point spread and k the needle's direction. Its projection on the
-    axis is blurred with sqrt(k^T Sigma k). The tube takes the largest value beside the axis, but
-    not far from it, so the mean of both is taken.
-
-    Parameters
-    ----------
-    volume
-        Volume with the needle.
-    p_P
-        (m, 3) points of the axis in P, in m.
-    along
-        (3,) direction k in P.
-    beam_width
-        Width that the user knows, in m; None if the widths are to be measured from the speckle, if
-        the volume does not know its point spread.
-
-    Returns
-    -------
-    (m,) full widths at half maximum in m; None if the volume does not tell them.
+    None if the volume does not tell. They are measured from the speckle if the volume does not know
+    its point spread and no ``beam_width`` is given.
     """
+    # On the axis, the end is blurred with 1 / sqrt(k^T Sigma^-1 k), where Sigma is the covariance
+    # of the point spread and k the needle's direction; projected on the axis, with
+    # sqrt(k^T Sigma k). The profile's tube has a radius in between, so the mean of both is taken.
     few = np.linspace(0, len(p_P) - 1, _BLUR_POINTS).astype(int)
     covariance = echo_covariance(volume, p_P[few], measure=beam_width is None)
     if covariance is None:
@@ -60,10 +44,9 @@ def needle_blur(
 
 
 def streak_lengths(volume: Volume, ends: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the lengths to which the beam draws out a single point, along lines through it.
+    """Return the (n,) largest full widths in m of points' echoes along lines with ends in P.
 
-    ``ends`` are (n, 2, 3) ends in P, in m. The lengths are the largest full widths at half maximum
-    along each line, (n,) in m; 0 if the volume does not tell them.
+    They are 0 if the volume does not tell them.
     """
     n = len(ends)
     covariance = echo_covariance(volume, np.linspace(ends[:, 0], ends[:, 1], 3).reshape(-1, 3))
@@ -80,10 +63,9 @@ def streak_lengths(volume: Volume, ends: NDArray[np.float64]) -> NDArray[np.floa
 def echo_covariance(
     volume: Volume, p_P: NDArray[np.float64], measure: bool = True
 ) -> NDArray[np.float64] | None:
-    """Return the (m, 3, 3) covariances of echoes of points at (m, 3) p_P, in m^2.
+    """Return the (m, 3, 3) covariances in m^2 of the echoes of points at (m, 3) p_P, or None.
 
-    They are those of the volume's transducer or, if ``measure``, of its speckle; None if there is
-    neither.
+    They are those of the volume's transducer or, with ``measure``, of its speckle.
     """
     if volume.point_spread is not None and volume.motion is not None:
         return blur_covariance(volume.point_spread, volume.motion.geometry, p_P)

@@ -49,14 +49,10 @@ class NeedleFilter(Protocol[S]):
     A filter has no memory and takes no decisions. The `TrackManager` decides which measurements to
     accept and when a needle is lost. The fields of a filter are its parameters, and a YAML file can
     choose and set a filter.
-
-    Attributes
-    ----------
-    orders
-        Orders of the curves that the filter supports.
     """
 
     orders: ClassVar[tuple[int, ...]]
+    """Numbers of control points that the filter supports."""
 
     def start(self, measurement: NeedleMeasurement) -> S:
         """Return the state after a first measurement, with an unknown velocity."""

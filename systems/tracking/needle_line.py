@@ -29,25 +29,17 @@ SHORTEST = 10e-3
 """Smallest visible length of a needle, in m."""
 
 _ALONG, _PARALLEL = 3e-3, math.cos(math.radians(10))
-"""Mean distance in m of a line from another along which it lies, and cosine of the angle between
-them."""
+"""Largest mean distance in m of lines that count as one, and smallest cosine of their angle."""
 
 
 @dataclass(frozen=True, eq=False)
 class NeedleLine(Immutable):
-    """A straight stretch that may be a needle.
-
-    Parameters
-    ----------
-    ends
-        (2, 3) ends in P, in m: the one on the entry's side, and the tip.
-    probability
-        Probability that the needle lies along the line, if it is this one or none, judged by this
-        volume alone.
-    """
+    """A line that may be a needle, with (2, 3) ends in P in m, the one at the entry first."""
 
     ends: Annotated[Floats, Shape(2, 3)]
     probability: float
+    """Probability that the needle lies along it, if it is this one or none, by this volume alone.
+    """
 
     @property
     def length(self) -> float:
@@ -142,24 +134,10 @@ def clutter(fits: Sequence[FittedLine]) -> float:
 def log_odds(
     volume: Volume, ends: Floats, among: Sequence[FittedLine], *, dark_entry: bool = False
 ) -> Floats:
-    """Return the log odds that stretches are needles, judged by their looks.
+    """Return the (n,) log odds that lines in P, entries first, look like needles; NaN if unseen.
 
-    Parameters
-    ----------
-    volume
-        Volume with the lines.
-    ends
-        (n, 2, 3) entries and tips in P, in m.
-    among
-        Bright lines of the volume.
-    dark_entry
-        Whether what is dark between the side of the field of view and the stretch does not count:
-        the near part of a needle may be faint.
-
-    Returns
-    -------
-    (n,) log odds that the needle lies along each, rather than that there is none; NaN where it is
-    not seen.
+    ``among`` are the bright lines of the volume. With ``dark_entry``, a dark part between the side
+    of the field of view and the line does not count: the near part of a needle may be faint.
     """
     if len(ends) == 0:
         return np.zeros(0)
@@ -167,7 +145,7 @@ def log_odds(
     if dark_entry:
         found = replace(found, entry_gap=np.zeros(len(ends)))
     odds = looks_odds(found.looks(volume, clutter(among)))
-    # Each of the bright lines along a needle may be it, see `needle_lines`.
+    # Each of the bright lines along a needle may be it; see `_needles`.
     fits = np.array([fit.ends for fit in among]).reshape(-1, 2, 3)
     odds += np.log(np.maximum(lie_along(ends, fits).sum(axis=1), 1))
     return np.where(seen, odds, np.nan)
@@ -185,16 +163,10 @@ def needle_lines(volume: Volume) -> list[NeedleLine]:
 
 
 def _needles(ends: Floats, odds: Floats) -> list[NeedleLine]:
-    """Return lines, most probable first, each with all the others along it.
+    """Return lines by (n, 2, 3) ends and (n,) log odds, merged, most probable first.
 
-    Several lines, and parts of them, may lie along one needle: their probabilities add up. The one
-    that is likely itself and has the others along it stands for all.
-
-    Parameters
-    ----------
-    ends, odds
-        (n, 2, 3) ends in P, in m, and (n,) logarithms of the odds that each line is the needle
-        rather than that there is none.
+    Probabilities of lines along one needle add up. The one that is itself likely and has the others
+    along it stands for all.
     """
     total = logsumexp(np.append(odds, 0.0))
     probabilities, none = np.exp(odds - total), np.exp(-total)

@@ -39,7 +39,7 @@ class NeedleLocalizer(LeafSystem):
 
     The system has no state. The candidate voxels are the brightest ones around the predicted curve
     (Chatelain 2013, eq. 15). A random sample consensus fits the axis (eqs. 16-22). The tip is the
-    point at which the intensity along the axis drops. ``prediction`` is a `NeedlePrediction` or a
+    change point of the contrast along the axis. ``prediction`` is a `NeedlePrediction` or a
     `NotFound`. ``measurement`` is a `NeedleMeasurement` in W, or a `NotFound` with the reason why
     there is none. ``explanation`` is a `LocalizationExplanation` with all intermediate results, or
     a `NotFound` if there is no volume.

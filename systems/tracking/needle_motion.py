@@ -50,19 +50,7 @@ def constant_velocity(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return transition A and noise Q of a constant-velocity model (Chatelain 2013, eqs. 8, 6).
 
-    Parameters
-    ----------
-    dt
-        Time step in s.
-    density
-        (d, d) spectral density of the white acceleration.
-    fades
-        Time in s in which the velocity falls to 1/e; by default it does not.
-
-    Returns
-    -------
-    A, Q
-        (2d, 2d) transition matrix, and (2d, 2d) covariance of the process noise.
+    ``density`` is that of the white acceleration; the velocity falls to 1/e in ``fades`` s.
     """
     d = len(density)
     A: NDArray[np.float64] = np.eye(2 * d)

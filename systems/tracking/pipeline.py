@@ -27,10 +27,10 @@ from sonoservo.systems.tracking.search_region import (
 from sonoservo.systems.tracking.volume_plausibility import is_noise
 
 _REPEATS = 7
-"""Number of searches around a line without a prediction; the result nearest the median counts."""
+"""Number of searches along a line found without a prediction; the one nearest the median counts."""
 
 _SURER = 2.0
-"""Factor on the smallest evidence in a narrow region, where anything agrees with the prediction."""
+"""Factor on the smallest evidence in a narrow region, where any line agrees with the prediction."""
 
 Floats = NDArray[np.float64]
 Attempts = list[LocalizationAttempt]
@@ -123,7 +123,7 @@ def _localize_everywhere(
         if isinstance(measurement, NotFound):
             first = first or (measurement, 0.0)
             continue
-        # What was measured must be what was found.
+        # The measurement must lie along the line that was found.
         seen = acquired_from(volume, measurement.curve.control_points[[0, -1]])
         if lie_along(each.ends[np.newaxis], seen[np.newaxis])[0, 0]:
             return attempts, measurement, each.probability

@@ -65,36 +65,24 @@ class RansacParameters:
 
 @dataclass(frozen=True, eq=False)
 class RansacResult:
-    """Result of the random sample consensus.
-
-    Parameters
-    ----------
-    fit
-        Least-squares fit on the inliers, or the winning sample's axis without refits.
-    inliers
-        (m,) flags of the points within the residual threshold.
-    trials, rejected
-        Number of samples drawn, and number of those rejected unevaluated.
-    """
+    """Result of the random sample consensus."""
 
     fit: AxisFit
+    """Least-squares fit on the inliers, or the winning sample's axis without refits."""
     inliers: NDArray[np.bool_]
     trials: int
     rejected: int
+    """Number of samples that were rejected unevaluated."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _through(  # pragma: no cover - compiled
     coordinates: Any, sample: Any, separation: float, bend: float, curve: Any
 ) -> Any:
-    """Compute the curve C(a) = origin + a k + b a (a - length) through two or three points.
+    """Write the curve C(a) = origin + a k + b a (a - length) through two or three points.
 
-    The two points that are farthest apart are its ends; b is zero for two points. Origin, k and b
-    are written to ``curve``, (3, 3).
-
-    Returns
-    -------
-    Flag that is true if the curve can be a needle, and its length.
+    The two points that are farthest apart are its ends; b is zero for two points. Return whether
+    the curve can be a needle, and its length.
     """
     first, last, middle = sample[0], sample[1], sample[0]
     if len(sample) == 3:
@@ -203,12 +191,10 @@ def _consensus(  # pragma: no cover - compiled
     max_draws: int,
     refits: int,
 ) -> Any:
-    """Find the sample whose curve has most points within `distance`, and refit on those points.
+    """Find the sample whose curve has most points within ``distance``, and refit on those points.
 
-    Returns
-    -------
-    Number of draws and of rejected ones; flags of the points near the last refit; the refit as
-    `least_squares` returns it, or the winner's axis in the same form without refits.
+    Return the numbers of draws and of rejected ones, flags of the points near the last refit, and
+    the refit as `least_squares` returns it, or the winner's axis in the same form without refits.
     """
     np.random.seed(seed)  # noqa: NPY002 - the compiled generator is faster to call than NumPy's
     m, limit = len(points), distance * distance
@@ -266,30 +252,10 @@ def ransac_axis(
 ) -> RansacResult | NotFound:
     """Fit an axis by random sample consensus (Chatelain 2013, eqs. 17-22; Uhercik 2010).
 
-    Samples of ``order`` points are drawn until there are as many as eq. 21 requires for the best
-    inlier ratio so far, times the parameters' factor. A sample is rejected unevaluated if its
-    points nearly coincide, if it bends too much or if it deviates from the expected direction
-    (eq. 22). The winner is refitted by weighted least squares on re-selected inliers.
-
-    Parameters
-    ----------
-    points
-        (m, 3) candidates in m.
-    weights
-        (m,) weights of the refits.
-    order
-        Order n: 2 for a straight axis, 3 for a bent one.
-    rng
-        Generator that draws the samples.
-    parameters
-        Thresholds.
-    direction, max_angle
-        Expected direction, and the largest angle alpha_0 from it in rad. A sample may have either
-        sense; the result is turned to that of the direction.
-
-    Returns
-    -------
-    The result, or a `NotFound` with the reason why there is none.
+    As many samples are drawn as eq. 21 requires for the best inlier ratio so far, times a factor.
+    One is rejected unevaluated if its points nearly coincide, if it bends too much, or if it is off
+    ``direction`` by more than ``max_angle`` rad (eq. 22). The winner is refitted on re-selected
+    inliers.
     """
     require(order in (2, 3), "order", order, "2 or 3")
     parameters = parameters or RansacParameters()

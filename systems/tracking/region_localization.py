@@ -1,4 +1,4 @@
-"""Localization in one region of a volume: candidates, consensus, extent, refit, judgement."""
+"""Localization in one region of a volume: candidates, consensus, extent, refit and decision."""
 
 from typing import Any, TypeVar
 
@@ -39,7 +39,7 @@ class _AbsentError(Exception):
 
 
 def _expect(value: T | NotFound) -> T:
-    """Return a value without which the attempt cannot continue."""
+    """Return a value that the attempt needs; raise its reason if there is none."""
     if isinstance(value, NotFound):
         raise _AbsentError(value.reason)
     return value

@@ -26,8 +26,8 @@ _LONG = 20e-3
 """Length in m from which on the direction of a needle is known."""
 
 _MOST_TURNED, _MOST_ASIDE, _MOST_ADVANCED, _MOST_LENGTHENED = math.radians(20), 25e-3, 50e-3, 1.0
-"""Standard deviations of what may have changed since a needle was lost: direction in rad, distances
-of the line from the last axis and between the tips in m, and logarithm of the visible length."""
+"""Standard deviations of the changes since a needle was lost: direction in rad, distances of the
+line from the last axis and between the tips in m, and logarithm of the visible length."""
 
 
 def predicted_region(
@@ -66,21 +66,10 @@ def predicted_region(
 def found_again(
     log_odds: float, ends: NDArray[np.float64], last: NeedleCurve
 ) -> tuple[float, NDArray[np.float64]]:
-    """Return the odds that a line is the needle that was lost, and its ends, the entry first.
+    """Return the log odds that a line is the lost needle, and its ends in W, the entry first.
 
-    There was a needle, so less evidence suffices. The tissue, or the probe, may have been moved
-    since, so place, direction and length need not agree exactly with those that were known. The
-    less they agree, the more evidence is needed.
-
-    Parameters
-    ----------
-    log_odds
-        Logarithm of the odds that the line is a needle, judged by its looks.
-    ends
-        (2, 3) ends of the line in W, in m. They are swapped if the needle last pointed the other
-        way.
-    last
-        Curve of the needle in W when it was last seen.
+    There was a needle, so less evidence suffices. The tissue or the probe may have moved since, so
+    the line may differ from the ``last`` curve, at the price of more evidence.
     """
     if (ends[1] - ends[0]) @ last.direction < 0:
         ends = ends[::-1]
@@ -110,9 +99,9 @@ def line_region(line: NeedleCurve, parameters: NeedleLocalizerParameters) -> Sea
 
 
 def narrow_region(region: SearchRegion, parameters: NeedleLocalizerParameters) -> SearchRegion:
-    """Return the part of a region in which a faint needle that did as predicted must lie.
+    """Return the part of a region in which a faint needle must lie if it moved as predicted.
 
-    Where much else is bright, a large region has too little of the needle in it.
+    Where much else is bright, the needle fills too little of a large region.
     """
     return replace(
         region,
@@ -126,8 +115,8 @@ def turns_too_far(
 ) -> bool:
     """Return True if a followed needle seems to turn, and too little of it is visible to show that.
 
-    Where it fades, what else is bright draws its axis away, volume by volume. The less of the
-    evidence that a bright needle gives is there, the nearer to the prediction its direction is.
+    Where it fades, other bright structures draw its axis away, volume by volume. The less evidence
+    there is of what a bright needle gives, the nearer its direction must be to the prediction.
     """
     if not parameters.angle_gate or region.entry is None or region.curve.chord < _LONG:
         return False

@@ -108,7 +108,7 @@ def _window(
 ) -> NDArray[Any] | None:
     """Return the elements around a centre, or None if the array does not contain them all.
 
-    The envelope is that of whole lines, as a line that is cut off has another one near its ends.
+    The envelope is taken of whole lines, as it is wrong near the ends of a line that is cut off.
     """
     first = centre - np.array(shape) // 2
     values = _values(speckle)
@@ -128,30 +128,14 @@ def measure_velocity(
     direction: NDArray[np.float64],
     parameters: SpeckleVelocimeterParameters,
 ) -> VelocityMeasurement | NotFound:
-    """Measure the tip's velocity by speckle tracking (Zhao 2012, section 2.3).
+    """Measure the tip's velocity in W by speckle tracking (Zhao 2012, section 2.3).
 
-    The kernel lies around the tip in the previous volume. The published search region reaches 5
-    samples (0.14 mm) axially, whereas 1 mm/s along the published direction moves 0.34 mm between
-    volumes. It can contain the published motion only if it is centred on the predicted
-    displacement, as it is here.
-
-    Parameters
-    ----------
-    current, previous
-        Two volumes, or two radio-frequency sweeps.
-    p_WBefore
-        (3,) position of the tip when the previous one was acquired, in W, in m.
-    p_WPredicted
-        (3,) expected position of the tip in the current one, in W, in m.
-    direction
-        (3,) unit vector of the needle in W.
-    parameters
-        Windows and thresholds.
-
-    Returns
-    -------
-    The velocity between the acquisitions, or a `NotFound` with the reason why there is none.
+    The kernel lies around the tip in the previous volume, the search region around its prediction
+    in the current one.
     """
+    # The published search region reaches 5 samples (0.14 mm) axially, whereas 1 mm/s along the
+    # published direction moves 0.34 mm between volumes. It can contain the published motion only
+    # if it is centred on the predicted displacement, as it is here.
     before, ahead = _element(previous, p_WBefore), _element(current, p_WPredicted)
     kernel = _window(previous, before, parameters.kernel, parameters.envelope)
     search = _window(current, ahead, parameters.search, parameters.envelope)

@@ -32,7 +32,7 @@ _ALIKE = 0.5
 would depend on the interpolation, and a small one on chance."""
 
 _WIDEST = 2.0
-"""Largest width, relative to the median over all depths. In a shadow nothing but a ramp is left."""
+"""Largest width, relative to the median over all depths: a shadow shows a ramp and no speckle."""
 
 _LEAST_BLOCKS = 5
 """Number of blocks without which a depth has no widths."""
@@ -90,24 +90,15 @@ def _correlations(  # pragma: no cover - compiled
 
 
 def speckle_spread(volume: Volume) -> PointSpread | None:
-    """Measure the widths of a point's echo from the speckle of a volume; None without speckle.
+    """Measure the widths of a point's echo by y in P from the speckle; None without speckle.
 
-    Echoes of many scatterers within a point's echo are complex Gaussian. Their correlation over a
-    distance d is rho = exp(-d^2 / (4 sigma^2)), if a point's amplitude is a Gaussian of standard
-    deviation sigma, and that of the logarithms of their intensities is Li2(rho^2) / Li2(1), with
-    the dilogarithm Li2. The logarithm is what an image shows, and bright structures hardly weigh in
-    it. At each depth the median over blocks is taken.
-
-    Parameters
-    ----------
-    volume
-        Volume whose grid's Y axis is the depth.
-
-    Returns
-    -------
-    Widths by y in P, along X (lateral), Z (elevation) and Y (axial). They contain the blur by the
-    interpolation onto the grid.
+    They contain the blur by the interpolation onto the grid, whose Y axis must be the depth.
     """
+    # Echoes of many scatterers within a point's echo are complex Gaussian. If a point's amplitude
+    # is a Gaussian of standard deviation sigma, their correlation over a distance d is
+    # rho = exp(-d^2 / (4 sigma^2)), and that of the logarithms of their intensities is
+    # Li2(rho^2) / Li2(1), with the dilogarithm Li2. An image shows the logarithm, in which bright
+    # structures hardly weigh. At each depth the median over blocks is taken.
     shape = np.array(volume.intensities.shape)
     size = np.minimum(np.maximum(np.round(_BLOCK / volume.spacing).astype(int), 4), shape)
     lags = np.linspace(1, np.maximum(size // 2, 1), _LAGS, axis=1).round().astype(int)
@@ -152,7 +143,7 @@ def _seen_blocks(shown: NDArray[np.bool_], row: int, size: NDArray[np.int64]) ->
 def _width(correlation: NDArray[np.float64], lags: NDArray[np.int64], spacing: float) -> float:
     """Return the full width at half maximum in m, from correlations at distances in voxels.
 
-    It is NaN if they do not fall below one half: then there is more than speckle.
+    It is NaN if they do not fall below one half, as there is more than speckle.
     """
     squared = np.clip(np.interp(correlation, _DILOGARITHM, _SQUARED), 0.02, 0.98)
     if squared.min() >= _ALIKE:

@@ -50,7 +50,7 @@ REACH = 20e-3
 """Mean length in m of what is not seen of a needle, beyond where it was last seen."""
 
 _NEAR, _PLACES = 6e-3, 3
-"""Distance in m within which ends are one end, and number of ends that are told apart."""
+"""Distance in m within which ends are one end, and number of ends that are distinguished."""
 
 _EMPTY = 15.0
 """Level of the background in dB, below that around the needle, at which there is no tissue."""
@@ -124,19 +124,7 @@ def _tube_maxima(  # pragma: no cover - compiled
 def axis_profile(
     volume: Volume, axis: Axis, start: float, stop: float, parameters: TipParameters
 ) -> AxisProfile:
-    """Sample the intensity along an axis.
-
-    Parameters
-    ----------
-    volume
-        Volume to sample.
-    axis
-        Axis in W, in m.
-    start, stop
-        Abscissae between which to sample, in m.
-    parameters
-        Step, and radii of the tube and the background.
-    """
+    """Sample the levels along an axis in W, and those around it, between two abscissae in m."""
     a = np.arange(start, stop + parameters.step, parameters.step)
     p_W = axis.position(a)
     p_P = acquired_from(volume, p_W)
@@ -183,29 +171,10 @@ def most_evident_stretch(
     neutral: float,
     max_evidence: float,
 ) -> tuple[int, int, float]:
-    """Find the stretch along an axis over which the evidence for a needle is largest.
+    """Return first and last sample of the stretch with most evidence, and the evidence in dB m.
 
-    A sample that stands out from the background by more than ``neutral`` is evidence for the
-    needle, and any other one is evidence against it. An unseen sample counts like one that does not
-    stand out at all. A gap is bridged if the evidence beyond it outweighs it.
-
-    Parameters
-    ----------
-    contrast
-        (m,) levels above the background, in dB, at evenly spaced samples.
-    seen
-        (m,) flags of the samples in the field of view.
-    step
-        Distance between samples, in m.
-    neutral
-        Contrast that is evidence neither for nor against a needle, in dB.
-    max_evidence
-        Largest evidence of one sample, in dB.
-
-    Returns
-    -------
-    Index of the first sample, index of the last sample, and integral of the evidence in dB m. The
-    last index is below the first if there is no evidence for a needle.
+    A sample more than ``neutral`` dB above the background is evidence for it, any other against it;
+    an unseen one counts as 0 dB. Without evidence, the last index is below the first.
     """
     evidence = np.where(seen, np.clip(contrast - neutral, -neutral, max_evidence), -neutral)
     (first,), (last,), _ = best_stretches(evidence[np.newaxis])
@@ -215,20 +184,9 @@ def most_evident_stretch(
 def find_extent(profile: AxisProfile, parameters: TipParameters) -> NeedleExtent | NotFound:
     """Find the ends of a needle along its axis (Chatelain 2013, end of section II-D).
 
-    The needle begins where the `most_evident_stretch` does. Its tip is a change point: up to there
-    the contrast follows the needle's level so far, which may fade, then a blurred end follows, and
-    beyond it there is nothing. Where a needle has faded before, neither is more probable.
-
-    Parameters
-    ----------
-    profile
-        Profile of the intensity along the axis.
-    parameters
-        What is known of the beam and the tip.
-
-    Returns
-    -------
-    The extent, or a `NotFound` with the reason why there is none.
+    It begins where the `most_evident_stretch` does. Its tip is a change point: the contrast follows
+    the needle's level so far, which may fade, up to a blurred end with nothing beyond. Where the
+    needle has faded before, the contrast does not tell where it ends.
     """
     step = float(profile.a[1] - profile.a[0])
     samples = max(1, round(parameters.smoothing / step))
@@ -294,25 +252,10 @@ def _mirror_share(top: float) -> float:  # pragma: no cover - compiled
 def _end_logs(  # pragma: no cover - compiled
     contrast: Any, seen: Any, share: Any, sigma: Any, step: float, first: int
 ) -> Any:
-    """Return the log likelihoods of a needle that ends at each sample, or at none of them.
+    """Return log likelihoods of a needle that ends at each sample, or beyond, and contrasts.
 
-    Parameters
-    ----------
-    contrast, seen
-        (m,) levels above the background in dB, and flags of the samples in the field of view.
-    share
-        (m,) evidence of a sample, as beam widths.
-    sigma
-        (m,) standard deviations of the blurred end, in m.
-    step
-        Distance between samples, in m.
-    first
-        Number of the needle's first sample.
-
-    Returns
-    -------
-    (m,) log likelihoods, that of a needle which goes on beyond all samples, and (m,) contrasts
-    shortly before each end, in dB.
+    All are (m,). ``share`` is the evidence of a sample in beam widths, and ``sigma`` the standard
+    deviation of the blurred end in m. The contrasts in dB are those shortly before each end.
     """
     m = len(contrast)
     needle, nothing = np.zeros(m + 1), np.zeros(m + 1)
@@ -391,7 +334,7 @@ def _places(
 
 
 def _unseen(top: float, turned: float, neutral: float) -> float:
-    """Return the probability that a needle goes on beyond an end, but is no brighter than tissue.
+    """Return the probability that a needle goes on beyond an end, no brighter than tissue.
 
     Its contrast is ``top`` dB before the end, changed by ``turned`` dB as the sound meets it at
     another angle there.

@@ -14,55 +14,37 @@ from sonoservo.systems.signals.needle_prediction import NeedlePrediction
 from sonoservo.systems.tracking.needle_filter import NeedleState
 
 SUREST = 0.999
-"""Largest probability of a needle: something that nobody modelled may look like one."""
+"""Largest probability of a needle: something that is not modelled may look like one."""
 
 
 @dataclass(frozen=True, eq=False)
 class Track(Immutable):
-    """Track of a needle that is being followed or awaited; falsy without a state.
-
-    Parameters
-    ----------
-    mode
-        Stage of the track's life. In the searching stage, a state is an unconfirmed candidate.
-    time
-        Time of the state in s, or of the last change if there is no state.
-    state
-        State of the filter; None while there is no needle.
-    volume_time
-        Time of the newest volume seen, in s.
-    X_WP
-        Pose of the probe with which the needle is assumed to move; None if its state is kept in W.
-    missed
-        Number of successive volumes that did not confirm the needle.
-    since
-        Time of the last confirmation, in s.
-    rejected
-        Last measurement that failed the gate since the last confirmation.
-    entry
-        (3,) place of the entry when the needle was found, in the state's frame, in m; None if no
-        needle is followed. A filter's own entry would slide along the needle if it were measured
-        by itself.
-    innovation
-        Mahalanobis distance of the last measurement from its prediction; None if none was gated.
-    probability
-        Probability that what is followed is a needle.
-    reason
-        Reason why the last volume did not confirm the needle.
-    """
+    """Track of a needle that is being followed or awaited; falsy without a state."""
 
     mode: TrackingMode
+    """Stage of the track's life. In the searching stage, a state is an unconfirmed candidate."""
     time: float
+    """Time of the state in s, or of the last change if there is no state."""
     state: NeedleState | None = None
     volume_time: float = -np.inf
+    """Time of the newest volume seen, in s."""
     X_WP: RigidTransform | None = None
+    """Pose of the probe with which the needle is assumed to move; None if its state is kept in W.
+    """
     missed: int = 0
+    """Number of successive volumes that did not confirm the needle."""
     since: float = -np.inf
+    """Time of the last confirmation, in s."""
     rejected: NeedleMeasurement | None = None
+    """Last measurement that failed the gate since the last confirmation."""
     entry: NDArray[np.float64] | None = None
+    """(3,) entry when the needle was found, in the state's frame, in m; None if none is followed. A
+    filter's own entry would slide along the needle if it were measured by itself."""
     innovation: float | None = None
+    """Mahalanobis distance of the last measurement from its prediction; None if none was gated."""
     probability: float = 0.0
     reason: str = ""
+    """Reason why the last volume did not confirm the needle."""
 
     def __bool__(self) -> bool:
         return self.state is not None
@@ -91,7 +73,7 @@ class Track(Immutable):
         )
 
     def prediction(self, state: NeedleState, entry: NDArray[np.float64] | None) -> NeedlePrediction:
-        """Return what is expected in a volume, given a predicted state and a known (3,) entry."""
+        """Return the prediction for a volume, given a predicted state and a known (3,) entry."""
         points = 3 * state.curve.order
         return NeedlePrediction(
             state.curve.order,

@@ -29,8 +29,8 @@ from sonoservo.systems.tracking.track import SUREST, Track
 from sonoservo.systems.tracking.track_parameters import TrackParameters
 
 _DETECTED, _CLUTTER = 0.6, 0.2
-"""Probabilities that a volume confirms a needle which is there, and that it confirms one which is
-not: what looked like a needle once does so again."""
+"""Probabilities that a volume confirms a needle which is there, and one which is not: a line that
+once looked like a needle does so again."""
 
 _REASONS = {
     "needle": SearchReason.UNCERTAIN(" yet"),
@@ -44,25 +44,14 @@ _REASONS = {
 
 @dataclass(frozen=True, kw_only=True)
 class TrackLifecycle:
-    """Rules by which a track begins, continues and ends, as pure functions.
-
-    Parameters
-    ----------
-    order
-        Number n of control points of the needle's curve.
-    parameters
-        Thresholds.
-    needle_filter
-        Filter that starts, predicts and updates the track's state.
-    anywhere
-        Whether a line at rest that looks like a needle is taken for one while there is none. If
-        not, a needle must be seen to move.
-    """
+    """Rules by which a track begins, continues and ends, as pure functions."""
 
     order: int
     parameters: TrackParameters
     needle_filter: NeedleFilter[Any]
     anywhere: bool = False
+    """Whether a line at rest is taken for a needle by its looks alone. If not, a needle must be
+    seen to move."""
 
     def __post_init__(self) -> None:
         require_order(self.order, self.needle_filter)
@@ -106,15 +95,8 @@ class TrackLifecycle:
     ) -> tuple[NDArray[np.float64], float] | NotFound:
         """Return the (2, 3) ends in W of the line that is the needle, and the probability of that.
 
-        A line is a needle if it moves like one. One that was lost, and any if that is allowed, may
-        rest: then its looks in several volumes decide, and how well it agrees with what was known.
-
-        Parameters
-        ----------
-        track
-            Track without a needle, or with a lost one.
-        lines
-            Lines that are followed.
+        A line is a needle if it moves like one. A lost one, or with `anywhere` any, may rest: then
+        its looks in several volumes decide, and how well it agrees with the last track.
         """
         if isinstance(lines, NotFound):
             return lines
@@ -123,8 +105,8 @@ class TrackLifecycle:
         best = int(lines.probabilities.argmax())
         if lines.probabilities[best] >= self.parameters.act:
             return lines.ends[best], float(lines.probabilities[best])
-        # There is a needle, or the user says so: the line at rest that is one more probably than
-        # not is it.
+        # There was a needle, or the user says that there is one: a line at rest is it if that is
+        # more probable than not.
         last = None if track.state is None else track.state.curve
         choice = lines.ends[best], 0.5
         if last is not None or self.anywhere:
@@ -241,7 +223,7 @@ def _bayes(probability: float, ratio: float) -> float:
 def innovation_distance(state: NeedleState, measurement: NeedleMeasurement) -> float:
     """Return the Mahalanobis distance of a measurement from a state predicted to its time.
 
-    It is that of the nearest of the places where the tip may be.
+    Of the places where the tip may be, the nearest counts.
     """
     points = state.curve.control_points.ravel()
     P = state.covariance[: len(points), : len(points)]

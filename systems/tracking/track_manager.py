@@ -28,7 +28,7 @@ from sonoservo.systems.tracking.track import Track
 
 
 class TrackManager(LeafSystem):
-    """Manages the life of a needle's track and estimates the needle with a filter.
+    """Tracks the needle from volume to volume, and estimates it with a filter.
 
     .. pydrake_system::
 
@@ -47,10 +47,10 @@ class TrackManager(LeafSystem):
         - last_measurement
         - explanation
 
-    A line that is a needle with enough probability starts a track, once the needle is localized
-    along it. If a volume does not show the needle, or its measurement fails the gate, the track
-    coasts and the region of interest grows. After several such volumes the needle is lost, and any
-    line may be it. After some time, or once the needle was withdrawn, a new one is awaited; see
+    A line that is probably a needle starts a track, once the needle is localized along it. If a
+    volume does not show the needle, or its measurement fails the gate, the track coasts and the
+    region of interest grows. After several such volumes the needle is lost, and any line may be
+    it. After some time, or once the needle is withdrawn, a new one is awaited; see
     `TrackLifecycle`.
 
     ``prediction`` is the `NeedlePrediction` for the volume at the input, or a `NotFound`. It

@@ -17,7 +17,7 @@ from sonoservo.systems.tracking.volume_plausibility import (
 
 @dataclass(frozen=True, eq=False)
 class _History(Immutable):
-    """Newest volume judged and the result, last one accepted, one that may be confirmed.
+    """Newest volume judged and the result, the last ones accepted and refused, and the counts.
 
     The lead is the time in s by which the last one accepted was ahead of the clock.
     """

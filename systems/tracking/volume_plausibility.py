@@ -1,4 +1,4 @@
-"""Plausibility of a volume, before a tracker believes it."""
+"""Check whether a volume is plausible, before it reaches the tracker."""
 
 import math
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from sonoservo.systems.signals.requirements import (
 from sonoservo.systems.signals.volume import Volume
 
 _STRIDE = 5
-"""Every so manieth voxel along each axis is looked at."""
+"""Stride in voxels, along each axis, of the voxels that are examined."""
 
 _WHITE = 250
 """Grey level from which a voxel counts as saturated."""
@@ -60,7 +60,7 @@ class VolumePlausibilityParameters:
 
 
 def is_noise(volume: Volume) -> bool:
-    """Whether neighbouring voxels have nothing to do with each other, as in no image by sound."""
+    """Return True if neighbouring voxels are uncorrelated, as in no ultrasound image."""
     if not volume.seen.any():
         return False
     levels = np.where(volume.seen, volume.intensities, np.nan).astype(np.float64)
@@ -83,20 +83,9 @@ def implausible(
 ) -> str:
     """Return the reason why a volume cannot be believed; empty if it can.
 
-    Parameters
-    ----------
-    volume
-        Volume to judge.
-    last
-        Last plausible volume, if there is one.
-    refused
-        Volume refused since then because of its time or its grid, which this one may confirm.
-    clock
-        Present time in s; 0 if it is not known.
-    lead
-        Time in s by which the last plausible volume was ahead of the clock; 0 without one.
-    parameters
-        Limits.
+    ``last`` is the last plausible volume, which was ``lead`` s ahead of the clock, and ``refused``
+    the last one refused since, which this one may confirm. ``clock`` is the time in s; 0 if
+    unknown.
     """
     if not np.isfinite(volume.X_WP.GetAsMatrix34()).all():
         return "its pose is not a number"
@@ -132,14 +121,9 @@ def _same_spacing(a: Volume, b: Volume) -> bool:
 def mirrored_axis(volume: Volume, last: Volume, threshold: float) -> str:
     """Return "X" or "Z" if a volume resembles the mirrored previous one, or an empty text.
 
-    Mirroring cannot be seen while the probe moves or if the tissue has no structure.
-
-    Parameters
-    ----------
-    volume, last
-        Volume to judge, and the previous one.
-    threshold
-        Smallest correlation, and smallest excess over that with the volume itself.
+    Its correlation with the mirrored one must be ``threshold`` above that with the previous one
+    itself and above 0. Mirroring does not show while the probe moves or if the tissue has no
+    structure.
     """
     if volume.intensities.shape != last.intensities.shape or threshold >= 1:
         return ""

@@ -23,37 +23,28 @@ _MOST_BEAMS = 16
 
 @dataclass(frozen=True, eq=False)
 class Beam(Immutable):
-    """The pulse-echo point spread function as a Gaussian whose widths depend on depth.
+    """The pulse-echo point spread function as a Gaussian whose widths depend on depth."""
 
-    A point at lateral offset l, elevation offset e and depth d from a line's axis echoes with
-
-        exp(-l^2 / (2 sigma_l^2) - e^2 / (2 sigma_e^2)) exp(-2i (2 pi / wavelength) p),
-        p = d + curvature e^2 / 2
-
-    at the path p, and the echo's envelope along the line is exp(-(path - p)^2 / (2 sigma_a^2)).
-    Each sigma is chosen for the true full width at half amplitude (-6 dB), which follows from the
-    aperture integrals.
-
-    Parameters
-    ----------
-    wavelength
-        Wavelength at the transmit frequency, in m.
-    axial
-        Standard deviation sigma_a, in m.
-    lateral, elevation
-        (samples,) standard deviations sigma_l and sigma_e at every sample's depth, in m.
-    curvature
-        (samples,) curvature of the wave fronts in elevation, in 1/m.
-    side_lobes
-        Amplitude of a rod's echo through the side lobes, relative to that through the Gaussian.
-    """
+    # A point at lateral offset l, elevation offset e and depth d from a line's axis echoes with
+    #
+    #     exp(-l^2 / (2 sigma_l^2) - e^2 / (2 sigma_e^2)) exp(-2i (2 pi / wavelength) p),
+    #     p = d + curvature e^2 / 2
+    #
+    # at the path p, and the echo's envelope along the line is exp(-(path - p)^2 / (2 sigma_a^2)).
+    # Each sigma is chosen for the true full width at half amplitude (-6 dB), which follows from the
+    # aperture integrals.
 
     wavelength: float
     axial: float
+    """Standard deviation sigma_a in m."""
     lateral: NDArray[np.float64]
+    """(samples,) standard deviations sigma_l in m at every sample's depth."""
     elevation: NDArray[np.float64]
+    """(samples,) standard deviations sigma_e in m."""
     curvature: NDArray[np.float64]
+    """(samples,) curvature of the wave fronts in elevation, in 1/m."""
     side_lobes: float
+    """Amplitude of a rod's echo through the side lobes, relative to that through the Gaussian."""
 
     @property
     def resolution_cell(self) -> NDArray[np.float64]:
@@ -196,7 +187,7 @@ _BEAMS: dict[str, Beam] = {}
 def beam_profile(
     transducer: Transducer, imaging: ImagingParameters, geometry: SweepGeometry
 ) -> Beam:
-    """Return the widths of the beam at every sample's depth, computed once for equal settings."""
+    """Return the widths of the beam at every sample's depth, cached by the settings."""
     # The settings are not hashable; their text holds every digit.
     key = f"{transducer} {imaging} {geometry}"
     if key not in _BEAMS:

@@ -21,20 +21,11 @@ _SLACK = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class PosedFrame(Immutable):
-    """A 2D picture with its pose and time.
-
-    Parameters
-    ----------
-    pixels
-        (ni, nj) uint8 or float32 grey levels; j runs away from the probe.
-    X_WI
-        (4, 4) transform from pixels (i, j, 0, 1) to positions in W, in m.
-    time
-        Time of the acquisition, in s.
-    """
+    """A 2D picture, (ni, nj) grey levels with j away from the probe, and its time."""
 
     pixels: NDArray[np.uint8] | NDArray[np.float32]
     X_WI: NDArray[np.float64]
+    """(4, 4) transform from pixels (i, j, 0, 1) to positions in W, in m."""
     time: float
 
     @property
@@ -58,8 +49,8 @@ class PosedFrame(Immutable):
 class SweepSplitter:
     """Splits the frames of a probe that is swept back and forth into sweeps.
 
-    The distance from the start of a sweep grows until the probe turns back. The sweep is complete
-    when the probe has come back by ``hysteresis``, in m, the least length of a sweep, or after
+    The distance from the start of a sweep grows until the probe turns back. A sweep is complete
+    when the probe has come back by ``hysteresis``, in m, which is also its least length, or after
     ``frames``, if given; it is split at ``max_frames``. Frames of a probe at rest form no sweep.
     """
 
@@ -110,30 +101,11 @@ def reconstruct(
     max_gap: float = 3e-3,
     decibels_per_level: float = DECIBELS_PER_LEVEL,
 ) -> ReconstructedVolume:
-    """Reconstruct a volume from the frames of one sweep.
+    """Reconstruct a volume from the frames of one sweep in order of time; P is the middle one's F.
 
-    A voxel between two successive frames is interpolated between its perpendicular projections onto
-    both frames, in proportion to its distances from them. This leaves no holes between frames.
-    Voxels remain marked as holes if the frames around them are further apart than ``max_gap``, if
-    no frame passed them, or only what lies beside its sector. Voxels between several pairs of
-    frames get the mean. P is the middle frame's F.
-
-    Parameters
-    ----------
-    frames
-        Frames of one size, in order of time.
-    spacing
-        Distance between the voxels, in m.
-    max_gap
-        Largest distance between two frames, at the voxel, that is filled, in m.
-    decibels_per_level
-        dB per grey level of the frames.
-
-    Raises
-    ------
-    ValueError
-        If there are fewer than two frames, their sizes differ, a parameter is out of range or the
-        volume is too large.
+    A voxel between two frames at most ``max_gap`` m apart is interpolated between its projections
+    onto both; several pairs give the mean. It stays a hole if no frame passed it, or only beside
+    its sector. Raises ValueError if the frames differ in size or are fewer than two.
     """
     require_positive(spacing=spacing, max_gap=max_gap)
     require(len(frames) >= 2, "frames", len(frames), "at least 2")

@@ -34,12 +34,12 @@ _NEXT = np.uint64(1)
 
 @njit(parallel=True, **OPTIONS)
 def tabulate_shifts(shifts, sector, x, y, z, poses):  # type: ignore[no-untyped-def]
-    """Tabulate how far the motion of the probe moves points in its image.
+    """Write how far the motion of the probe moves points in its image, at nodes in m.
 
-    Written are (mx, my, 3, mz) float32 changes of step, line and distance (see `project`) at nodes
-    with float32 coordinates in m, with the origin on the motor's axis. Poses are (n, 12) rows of 3
-    x 4 matrices from the frame of the volume to that of the probe at the time, `POSES_PER_FRAME` to
-    a frame, from `FRAMES_BEYOND` frames before the first one to as many after the last.
+    The (mx, my, 3, mz) float32 shifts are changes of step, line and distance (see `project`). Poses
+    are (n, 12) rows of 3 x 4 matrices from the volume's frame to the probe's at the time,
+    `POSES_PER_FRAME` to a frame, from `FRAMES_BEYOND` frames before the first to as many after the
+    last; the origin is on the motor's axis.
     """
     for a in prange(len(x)):
         for b in range(len(y)):

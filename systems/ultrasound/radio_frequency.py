@@ -42,24 +42,11 @@ def detect_envelope(
     near: float = 0.0,
     far: float = np.inf,
 ) -> Sweep:
-    """Convert radio-frequency lines to grey levels on fewer samples.
+    """Convert radio-frequency lines to grey levels at every ``step``-th sample, by a peak detector.
 
-    This is a peak detector: each sample is the largest magnitude within half a step before and
-    after it. For steps of at least one period of the carrier, it is at most 1 dB below the
-    envelope.
-
-    Parameters
-    ----------
-    sweep
-        Sweep to detect.
-    step
-        Number of samples of the lines per sample of the result.
-    floor_db
-        Amplitude of grey level 0 in dB, relative to an echo of amplitude 1.
-    dynamic_range_db
-        Range of amplitudes that the grey levels 0 to 255 show, in dB.
-    near, far
-        Depths in m between which the lines are evaluated; elsewhere the result is 0.
+    A sample is the largest magnitude within half a step, at most 1 dB below the envelope for steps
+    of a carrier's period or more. ``floor_db`` is that of grey level 0, relative to an echo of
+    amplitude 1; the result is 0 outside the depths ``near`` to ``far`` in m.
     """
     require(step >= 1, "step", step, "1 or more")
     geometry = detected_geometry(sweep.motion.geometry, step)

@@ -66,9 +66,9 @@ def pack_corners(
 ) -> tuple[NDArray[np.uint32], NDArray[np.uint32], Corners]:
     """Pack samples, each with its neighbours, from the first cell to the last.
 
-    Returned are the packed samples, a view of them from the second frame on, and their layout. The
-    bytes of a number are, lowest first: the sample, the next one on its line, the sample on the
-    next line, and the one after that.
+    Return the packed samples, a view of them from the second frame on, and their layout. The bytes
+    of a number are, lowest first: the sample, the next one on its line, the sample on the next
+    line, and the one after that.
     """
     frames, lines, line_stride = (b - a + 1 for a, b in zip(first, last, strict=True))
     # A frame's stride must not be a multiple of the page: neighbours would evict one another from
@@ -105,12 +105,11 @@ def _pack(packed, corners, samples):  # type: ignore[no-untyped-def]
 def rows_in_sector(
     sector: Sector, margin: ArrayLike, x: Floats, y: Floats, z: Floats
 ) -> NDArray[np.int32]:
-    """Return the elements of each row along Z that may lie in the sector, as (nx, ny, 2, 2).
+    """Return the (nx, ny, 2, 2) ranges of each row along Z that may lie in the sector.
 
-    It has the first element and the one after the last of the two parts of each row, which lie on
-    either side of a gap that the lines do not reach or the probe occupies; both are equal for what
-    is empty. Elements may be displaced by up to the margin, (3,) or one number in m, before they
-    are looked up. Coordinates are in m, with the origin on the motor's axis.
+    A row has two parts, on either side of a gap that the lines do not reach or the probe occupies;
+    an empty part ends where it starts. Elements may be displaced by up to the margin, (3,) or one
+    number in m, before they are looked up. The origin is on the motor's axis.
     """
     beside, above, along = np.broadcast_to(np.asarray(margin, dtype=float), (3,))
     x, y = np.abs(x[:, np.newaxis]), y[np.newaxis]

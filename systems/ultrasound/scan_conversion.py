@@ -31,15 +31,7 @@ _SLACK = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class CartesianGrid:
-    """A regular grid in the probe frame P.
-
-    Parameters
-    ----------
-    origin, spacing
-        (3,) position of the first element and distance between elements, in m.
-    shape
-        Number of elements along X, Y, Z.
-    """
+    """A regular grid in P, with the first element at (3,) ``origin`` and (3,) ``spacing``, in m."""
 
     origin: NDArray[np.float64]
     spacing: NDArray[np.float64]

@@ -1,4 +1,4 @@
-"""The leaf that converts sweeps to volumes."""
+"""Leaf system that converts sweeps to volumes."""
 
 from dataclasses import dataclass, field
 from functools import lru_cache

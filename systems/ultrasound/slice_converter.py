@@ -1,4 +1,4 @@
-"""The leaf that converts one plane of a sweep to a slice, and the conversion."""
+"""Leaf system that converts the only frame of a sweep to a slice, and the conversion."""
 
 from functools import lru_cache
 
@@ -18,17 +18,7 @@ from sonoservo.systems.signals.sweep import Sweep, SweepGeometry
 class SliceConversion:
     """Scan conversion of sweeps of a single frame; the motor's turn within it is neglected.
 
-    Parameters
-    ----------
-    geometry
-        Geometry of the sweeps.
-    spacing
-        Distance between the slice's pixels, in m.
-
-    Raises
-    ------
-    ValueError
-        If a sweep has more than one frame, or the slice fewer than 3 pixels along an axis.
+    Raises ValueError if a sweep has more frames, or the slice fewer than 3 pixels along an axis.
     """
 
     def __init__(self, geometry: SweepGeometry, spacing: float) -> None:

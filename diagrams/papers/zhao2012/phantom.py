@@ -39,8 +39,8 @@ DIRECTION = np.array([0.94, 0.0, -0.34]) / np.hypot(0.94, 0.34)
 """Published direction of the needle, in T: its third component points into the phantom."""
 
 TOWARDS = np.array([1.0, 0.0, 0.0])
-"""Rough direction of every needle, in T: it enters from the left, as whoever pushes it knows. It
-tells which end is the tip."""
+"""Rough direction of every needle, in T: it enters from the left, as the person who pushes it
+knows. It tells which end is the tip."""
 
 _NEEDLE_RADIUS = 0.5e-3
 _NEEDLE_DENSITY = 125e9

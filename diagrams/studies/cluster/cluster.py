@@ -72,12 +72,12 @@ def run_case(message: bytes, identity: Mapping[str, str], limit: float) -> Finis
 class Cluster:
     """Executor on the workers of a Dask scheduler, one case at a time each.
 
-    A nanny replaces a worker that dies, and the scheduler runs its case again elsewhere, up to
-    ``distributed.scheduler.allowed-failures``. A worker whose package differs gets no cases.
-
-    `limit`: longest time in s of a case; `patience`: time in s without an answer after which the
-    scheduler is considered gone.
+    A case may take ``limit`` s. After ``patience`` s without an answer the scheduler is considered
+    gone. A worker whose package differs gets no cases.
     """
+
+    # A nanny replaces a worker that dies, and the scheduler runs its case again elsewhere, up to
+    # ``distributed.scheduler.allowed-failures``.
 
     def __init__(self, client: Client, *, limit: float, patience: float = 15.0) -> None:
         self._client, self._limit, self._patience = client, limit, patience
@@ -169,7 +169,7 @@ class Cluster:
         return [each for each in running if each.done()]
 
     def _collect(self, future: Future, case: Case) -> Finished | Refusal | None:
-        """Return what a worker made of a case; None if it is to be run again."""
+        """Return a worker's answer to a case; None if the case is to be run again."""
         try:
             reply: Finished | Refusal = future.result(timeout=self._patience)
             return reply

@@ -33,8 +33,8 @@ def open_cluster(
     Parameters
     ----------
     text
-        ``tcp://host:8786``, the address of a scheduler; ``local:4``, so many processes
-        of this machine; or the path of a YAML file that names a class of dask-jobqueue
+        ``tcp://host:8786``, the address of a scheduler; ``local:4``, four processes of this
+        machine; or the path of a YAML file that names a class of dask-jobqueue
         (`read_job_queue`).
     limit
         Longest time in s that a case may take.
@@ -110,7 +110,7 @@ _CALM = {
 
 @contextmanager
 def local_cluster(cases: int) -> Iterator["LocalCluster"]:
-    """Start a scheduler and a worker for each of so many cases; they end with the block."""
+    """Start a scheduler and a worker for each of a number of cases; they end with the block."""
     import dask
     from distributed import LocalCluster
 

@@ -1,1 +1,1 @@
-"""Study of robustness: what the trackers survive when the dials of the harder world are turned."""
+"""Study of robustness: performance of the trackers as the dials of the harder world are turned."""

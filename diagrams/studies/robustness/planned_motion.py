@@ -1,4 +1,4 @@
-"""The leaf that moves probe and phantom as planned, in place of a robot."""
+"""Leaf system that moves probe and phantom as planned, in place of a robot."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass

@@ -181,8 +181,8 @@ def conspicuous_lengths(log: RunLog, volumes: Sequence[Volume]) -> Floats:
 def as_in_probe(log: RunLog) -> RunLog:
     """Return a log whose estimates lie in W where the probe's measured pose has them in P.
 
-    Errors of the pose itself do not count then; what the needle seems to move because a probe with
-    a wrong pose moves still does.
+    Errors of the pose itself do not count then; apparent motion of the needle still does, if a
+    probe with a wrong pose moves.
     """
     time = log.volume_estimate_time
     true_X, measured_X = (at_times(log, each, time) for each in (log.X_WP, log.measured_X_WP))

@@ -1,4 +1,4 @@
-"""The leaf that moves a probe over the phantom while its tracker follows nothing."""
+"""Leaf system that moves a probe over the phantom while its tracker follows nothing."""
 
 import numpy as np
 from numpy.typing import NDArray

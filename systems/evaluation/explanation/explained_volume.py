@@ -1,4 +1,4 @@
-"""Record of a tracker's search in a volume, and the leaf that keeps those around a loss."""
+"""Record of a tracker's search in a volume, and the leaf system that keeps those around a loss."""
 
 from collections import deque
 from dataclasses import astuple, dataclass, field

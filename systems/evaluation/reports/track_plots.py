@@ -1,4 +1,4 @@
-"""Pictures of the slices through a needle, the leaf that keeps them, and plots of a recording."""
+"""Slices through a needle, the leaf system that keeps them, and plots of a recording."""
 
 import io
 from collections.abc import Sequence

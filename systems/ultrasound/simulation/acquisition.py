@@ -60,7 +60,7 @@ def acquire_sweep(
 
 
 def begin_frames(renderer: SweepRenderer, frames: Frames, number: int) -> None:
-    """Begin to render frames of a sweep that `acquire_sweep` will be asked for."""
+    """Begin to render frames of a sweep that `acquire_sweep` will need."""
     rng = _random(renderer, number)
     X_TP = _acquired(renderer, frames.X_TP, frames.part, frames.direction, rng)
     renderer.begin(replace(frames, X_TP=X_TP), number)

@@ -42,11 +42,12 @@ class AirPocketParameters(Bounded):
 
 
 class AirPockets:
-    """Air under a probe's face: the places at which a smooth random field is high.
+    """Air under a probe's face, at the places where a smooth random field is high.
 
     The field is Gaussian with the correlation exp(-d^2 / 2 size^2 - t^2 / 2 period^2) over a
-    distance d and a time t. No sound passes the air, which acoustically is nearly a vacuum. What
-    arrives at the focus, and returns from it, is the sum over the open part of either aperture.
+    distance d and a time t. No sound passes the air, which acoustically is nearly a vacuum. The
+    sound that reaches the focus, and that returns from it, is the sum over the open part of either
+    aperture.
     """
 
     def __init__(

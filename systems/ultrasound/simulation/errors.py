@@ -141,7 +141,7 @@ class ConnectionParameters(Bounded):
 def repeat_lost_frames(
     samples: NDArray[np.uint8], share: float, direction: int, rng: np.random.Generator
 ) -> NDArray[np.uint8]:
-    """Return the (frames, lines, samples) samples of a sweep of which frames were lost.
+    """Return the (frames, lines, samples) samples of a sweep with lost frames.
 
     In place of a lost frame stands the last one acquired before it, which the frame grabber still
     holds. The first frame of a sweep is never lost.
@@ -159,25 +159,18 @@ class Reception(Immutable, Generic[T]):
     """Sweeps on their way through a program that processes one at a time.
 
     When the program is done with a sweep, it takes the newest that has arrived, and drops those
-    that were acquired before it: a program with a single thread that always wants the newest
-    picture does so, as `sonoservo track` does on a live connection.
-
-    Parameters
-    ----------
-    coming
-        Time of arrival in s and sweep, in the order of acquisition, for those not taken yet.
-    busy
-        Time in s at which the program is done with its present sweep, and that sweep.
-    processed
-        The last sweep that was processed.
+    acquired before it. A program with a single thread that always wants the newest picture does so,
+    such as `sonoservo track` on a live connection.
     """
 
     coming: tuple[tuple[float, T], ...] = ()
+    """Time of arrival in s and sweep, in the order of acquisition, for those not taken yet."""
     busy: tuple[float, T] | None = None
+    """Time in s at which the program is done with its present sweep, and that sweep."""
     processed: T | None = None
 
     def sent(self, sweep: T, arrival: float) -> "Reception[T]":
-        """Return the reception after a further sweep was sent, which arrives at a time in s."""
+        """Return the reception after another sweep was sent, which arrives at a time in s."""
         return Reception((*self.coming, (arrival, sweep)), self.busy, self.processed)
 
     def at(self, time: float, processing_time: float) -> "Reception[T]":

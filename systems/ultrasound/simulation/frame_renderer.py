@@ -205,8 +205,8 @@ class FrameRenderer:
     ) -> FrameViews:
         """Write everything except the moving needle to (n, lines, samples) echoes.
 
-        ``field`` is the displacements of the tissue in the frames. Returned are the views needed
-        for the needle's echo.
+        ``field`` holds the displacements of the tissue. Return the views that the needle's echo
+        needs.
         """
         X_FT = frame_poses(self.acoustic, frames.X_TP, frames.part)
         rays, scene = self._rays[frames.direction], self._scene

@@ -1,4 +1,4 @@
-"""What a console adds to the echoes: clutter, slow change at rest, and errors of the gain."""
+"""Clutter, slow change at rest, and errors of the gain, which a console adds to the echoes."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -1,4 +1,4 @@
-"""Pulses, tabulated for fractions of a sample, and where lines and frames lie."""
+"""Pulses, tabulated for fractions of a sample, and the geometry of lines and frames."""
 
 from collections.abc import Sequence
 

@@ -31,7 +31,7 @@ GROUP = 4
 """Number of frames that a thread renders at a time."""
 
 _SWEEPS_AHEAD = 3
-"""Number of sweeps that may be begun before one is asked for."""
+"""Number of sweeps that may be begun before one is requested."""
 
 
 class SweepRenderer:
@@ -256,8 +256,8 @@ class SweepRenderer:
     def begin(self, frames: Frames, number: int) -> None:
         """Begin to render one of the `groups` of frames in the background, for a sweep.
 
-        This does nothing without threads to spare (see `workers`), or if nobody has asked for the
-        sweeps begun before.
+        This does nothing without threads to spare (see `workers`), or while the sweeps begun before
+        are not requested.
         """
         pool, most = workers(), _SWEEPS_AHEAD * len(self.groups(frames.direction))
         if pool is not None and len(self._begun) < most:

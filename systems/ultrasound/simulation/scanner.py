@@ -1,4 +1,4 @@
-"""The leaf that simulates a scanner with a motorised probe."""
+"""Leaf system that simulates a scanner with a motorised probe."""
 
 import math
 from dataclasses import dataclass, replace
@@ -95,7 +95,7 @@ class Scanner(LeafSystem):
     `sweep` is the newest complete `Sweep`, or a `NotFound`; it is available when the sweep's last
     frame ends. Sweeps towards +Z and -Z alternate, starting with +Z. A sweep is rendered at most
     once: its frames in the background as they are acquired, if there are threads to spare and the
-    sweeps before were asked for, the rest on demand. `motion_record` is the `MotionRecord` of the
+    sweeps before were read, the rest on demand. `motion_record` is the `MotionRecord` of the
     same sweep, or a `NotFound`; it is the truth, for logs only.
 
     With errors of the clock, a sweep has the scanner's stamps, and the program gives each frame the

@@ -51,13 +51,12 @@ def detect_as_published(
 ) -> InsertionDetection | NotFound:
     """Detect an insertion as Chatelain 2013, section II-B describes it, or say why there is none.
 
-    Eq. 1 gives the voxels whose absolute difference is at least T_t, the order statistic that fixes
-    their number. Their variance must be below tau. The geometric median (eq. 2) is projected on the
-    closest face of the volume's boundary. The entry point counts if it is closer than delta. The
-    tip of the detection is the median, as the paper does not estimate one. Volumes between which
-    the probe moved by more than a voxel are not compared, as the paper's difference holds for a
-    static probe only; ours lands on the phantom first.
+    The voxels whose difference is at least T_t (eq. 1) must have a variance below tau. Their
+    geometric median (eq. 2), projected on the closest face, is an entry if it is closer than delta.
     """
+    # The tip of the detection is the median, as the paper does not estimate one. Its difference
+    # holds for a static probe only, whereas ours lands on the phantom first; volumes between which
+    # the probe moved by more than a voxel are therefore not compared.
     if volume.intensities.shape != previous.intensities.shape:
         return NotFound("the previous volume lies on another grid")
     if _moved(volume, previous) > float(volume.spacing.max()):
@@ -183,7 +182,7 @@ def _faces(volume: Volume, p_P: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _ends_of_what_is_seen(volume: Volume, p_P: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (6, 3) positions to either side along X, Z and Y of P where what is seen ends."""
+    """Return (6, 3) positions in P to either side along X, Z and Y at which the seen part ends."""
     last = np.array(volume.intensities.shape) - 1
     at = np.clip(np.rint((p_P - volume.origin) / volume.spacing), 0, last).astype(int)
     ends = np.repeat(p_P[np.newaxis], 6, axis=0)

@@ -28,19 +28,6 @@ class PublishedLifecycle:
     One admissible entry point starts the search for the needle around it; a later one replaces it.
     Once the needle is visible with a certain length it is tracked: every measurement corrects the
     filter, without a gate on its innovation. A lost needle is not searched for.
-
-    The paper does not say when a track ends. Here it ends after many volumes in a row that do not
-    show the needle with `least_length`. Many, as it may be dim for a moment, or leave the region
-    where the phantom is moved.
-
-    Parameters
-    ----------
-    order
-        Number n of control points of the needle's curve.
-    needle_filter
-        Filter that starts, predicts and updates the track's state.
-    volumes_to_end
-        Number of such volumes after which the track ends.
     """
 
     gate: ClassVar[None] = None
@@ -49,6 +36,9 @@ class PublishedLifecycle:
     order: int
     needle_filter: NeedleFilter[Any]
     volumes_to_end: PositiveInt = 10
+    """Number of successive volumes that do not show the needle with `least_length` after which the
+    track ends. The paper does not say when. They are many, as the needle may be dim for a moment,
+    or leave the region when the phantom is moved."""
 
     def __post_init__(self) -> None:
         require_order(self.order, self.needle_filter)

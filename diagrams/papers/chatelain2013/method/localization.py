@@ -89,10 +89,10 @@ def explain_published_localization(
     parameters: PublishedLocalizationParameters,
     rng: np.random.Generator,
 ) -> LocalizationExplanation:
-    """Localize the needle as in Chatelain 2013, section II-D; the volume counts as at once.
+    """Localize the needle as in Chatelain 2013, section II-D, at once.
 
-    A prediction without an entry stands for a detected insertion: its curve runs from the candidate
-    entry point to the geometric median, and neither direction nor length of the needle are known.
+    A prediction without an entry is a detected insertion. Its curve runs from the candidate entry
+    to the geometric median; direction and length of the needle are then unknown.
     """
     if isinstance(prediction, NotFound):
         return LocalizationExplanation(volume.time, prediction, (), prediction)

@@ -110,10 +110,9 @@ def localize_in_whole_volume(
 ) -> WholeVolumeNeedle | NotFound:
     """Localize the needle in a whole volume as published (Zhao 2012, section 2.2; Uhercik 2010).
 
-    Thresholding leaves the brightest voxels. The axis is the line through two of them that has the
-    most others nearby, optimized on those. The tip is the point at which the intensity along the
-    axis decreases and does not increase again within a tolerated gap. ``towards`` is the (3,)
-    direction in W that the needle roughly points in.
+    The axis is the line through two of the brightest voxels that has the most others nearby,
+    optimized on those. The intensity along it ends at the tip, but for tolerated gaps. ``towards``
+    is the needle's rough (3,) direction in W.
     """
     if volume.intensities.min() == volume.intensities.max():
         return NotFound("the volume is constant")
@@ -154,7 +153,7 @@ def explain_whole_volume_localization(
     parameters: WholeVolumeLocalizationParameters,
     rng: np.random.Generator,
 ) -> LocalizationExplanation:
-    """Localize the needle by `localize_in_whole_volume`, whatever was predicted."""
+    """Localize the needle by `localize_in_whole_volume`, towards the prediction's direction."""
     if isinstance(prediction, NotFound):
         return LocalizationExplanation(volume.time, prediction, (), prediction)
     assert prediction.curve is not None

@@ -83,14 +83,9 @@ class LiverAnatomy(AnatomyParameters):
 
 
 def liver_label_map(seed: int = 0) -> LabelMap:
-    """Return a synthetic liver, 160 x 80 x 120 mm, in voxels of 1 mm.
+    """Return a synthetic liver, 160 x 80 x 120 mm, in voxels of 1 mm, with veins drawn by the seed.
 
     The labels are those of `LIVER_LABELS`, and 0 is parenchyma. The abdominal wall is anterior.
-
-    Parameters
-    ----------
-    seed
-        Random seed of the veins' course.
     """
     rng = np.random.default_rng([seed, 7])
     shape, step = (160, 80, 120), 1e-3

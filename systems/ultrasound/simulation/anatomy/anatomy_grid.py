@@ -22,15 +22,16 @@ def level_surface(
 ) -> Surface:
     """Extract the surface at which a field is 1/2, with normals towards smaller values.
 
-    Every cell between eight samples in which the field crosses 1/2 gives one piece. Within a cell,
-    the field is taken as linear: f0 + g . x, with x from 0 to 1. The area of its level set is the
-    derivative of the volume below the level (Scardovelli and Zaleski 2000),
-
-        A = |g| / (2 g1 g2 g3) sum over corners s of (-1)^|s| max(c - g . s, 0)^2
-
-    with |g_i| for g_i and c the level above the lowest corner. The areas of a plane's pieces add
-    up to the plane's. The (nx, ny, nz) samples begin at the (3,) origin; lengths are in m.
+    The (nx, ny, nz) samples begin at the (3,) origin; lengths are in m.
     """
+    # Every cell between eight samples in which the field crosses 1/2 gives one piece. Within it,
+    # the field is taken as linear: f0 + g . x, with x from 0 to 1. The area of its level set is the
+    # derivative of the volume below the level (Scardovelli and Zaleski 2000),
+    #
+    #     A = |g| / (2 g1 g2 g3) sum over corners s of (-1)^|s| max(c - g . s, 0)^2
+    #
+    # with |g_i| for g_i and c the level above the lowest corner. The areas of a plane's pieces add
+    # up to the plane's.
     inside = field > 0.5
     box = find_objects(inside.astype(np.uint8))
     if not box or box[0] is None:

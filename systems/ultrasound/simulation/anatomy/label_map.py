@@ -25,24 +25,12 @@ _METRES = {"unknown": 1e-3, "meter": 1.0, "mm": 1e-3, "micron": 1e-6}
 
 @dataclass(frozen=True, eq=False)
 class LabelMap(Immutable):
-    """Labels of voxels, with their positions.
-
-    Parameters
-    ----------
-    labels
-        (nx, ny, nz) uint16 labels.
-    X_LV
-        (4, 4) transform from a voxel's indices to its centre in the patient's frame L (axes to the
-        left, to the back and to the head), in m.
-
-    Raises
-    ------
-    ValueError
-        If the axes are not three independent directions or the voxels have no sensible size.
-    """
+    """(nx, ny, nz) labels of voxels with their positions, which must make sense (ValueError)."""
 
     labels: Annotated[NDArray[np.uint16], Shape(None, None, None, dtype=np.uint16)]
     X_LV: Annotated[NDArray[np.float64], Shape(4, 4)]
+    """Transform from a voxel's indices to its centre in the patient's frame L (axes to the left, to
+    the back and to the head), in m."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -68,17 +56,7 @@ def is_label_map(path: str | Path) -> bool:
 def read_label_map(path: str | Path) -> LabelMap:
     """Read a label map from NRRD or NIfTI, with any spacing and directions.
 
-    Parameters
-    ----------
-    path
-        Path of a file that ends in .nrrd, .nhdr, .nii or .nii.gz.
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is no such file.
-    ValueError
-        If the file contains no valid label map; the message gives the reason in one line.
+    Raises FileNotFoundError, or a ValueError with the reason if the file contains no label map.
     """
     path = Path(path)
     if not path.is_file():
@@ -89,12 +67,7 @@ def read_label_map(path: str | Path) -> LabelMap:
 
 
 def write_label_map(path: str | Path, label_map: LabelMap) -> Path:
-    """Write a label map as NRRD in the space LPS, in mm.
-
-    Returns
-    -------
-    Path of the file.
-    """
+    """Write a label map as NRRD in the space LPS, in mm; return the path."""
     header = {
         "space": "left-posterior-superior",
         "space directions": 1e3 * label_map.X_LV[:3, :3].T,

@@ -102,16 +102,14 @@ def frame_field(fields, frame):  # type: ignore[no-untyped-def]
 
 @njit(**INNER)
 def indent(x, y, z, field, F):  # type: ignore[no-untyped-def]
-    """Return the displacement in m of a point in T by a rigid sphere, and write its gradient.
-
-    The field is that of Hertz's contact with an incompressible elastic half-space, whose surface is
-    T's level top with the normal n into the tissue. With Poisson's ratio 1/2, Boussinesq's
-    potentials (Johnson 1985, section 3.2) reduce to u = (V n - d grad V) / 2G, where d is the depth
-    and V the Newtonian potential of the pressure. That of Hertz's pressure is the limit of a
-    homogeneous ellipsoid that is flattened to a disc of radius a: V / 2G = (depth a / pi)
-    int_lambda^inf (1 - r^2/(a^2+s) - d^2/s) ds / ((a^2+s) sqrt(s)), where r is the distance from
-    the axis and r^2/(a^2+lambda) + d^2/lambda = 1.
-    """
+    """Return the displacement in m of a point in T by a rigid sphere, and write its gradient."""
+    # The field is that of Hertz's contact with an incompressible elastic half-space, whose surface
+    # is T's level top with the normal n into the tissue. With Poisson's ratio 1/2, Boussinesq's
+    # potentials (Johnson 1985, section 3.2) reduce to u = (V n - d grad V) / 2G, where d is the
+    # depth and V the Newtonian potential of the pressure. That of Hertz's pressure is the limit of
+    # a homogeneous ellipsoid that is flattened to a disc of radius a: V / 2G = (depth a / pi)
+    # int_lambda^inf (1 - r^2/(a^2+s) - d^2/s) ds / ((a^2+s) sqrt(s)), where r is the distance from
+    # the axis and r^2/(a^2+lambda) + d^2/lambda = 1.
     a = field.radius
     px = x - field.x
     py = y - field.y
@@ -155,12 +153,13 @@ def indent(x, y, z, field, F):  # type: ignore[no-untyped-def]
 def displace(x, y, z, field, pushed, F):  # type: ignore[no-untyped-def]
     """Return the displaced position in T, in m, of a point in T, and write its gradient.
 
-    The needle, unless it does not push the point, drags tissue along, less and less with the
-    distance from its shaft. Tissue also gives way to the needle's volume: incompressible tissue at
-    a distance r from the middle of a long needle of radius R moves to sqrt(r^2 + R^2) (expansion of
-    a cylindrical cavity). At its ends the field is that of a line of sources. The gradient leaves
-    out the second effect. The probe then displaces the tissue with the needle; see `indent`.
+    The gradient leaves out that tissue gives way to the needle's volume.
     """
+    # The needle, unless it does not push the point, drags tissue along, less and less with the
+    # distance from its shaft. Incompressible tissue also gives way: at a distance r from the middle
+    # of a long needle of radius R it moves to sqrt(r^2 + R^2) (expansion of a cylindrical cavity).
+    # At its ends the field is that of a line of sources. The probe then displaces the tissue with
+    # the needle.
     dx, dy, dz, slope, px, py, pz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     if pushed and field.points > 1:
         k = 0

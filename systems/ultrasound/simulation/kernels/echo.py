@@ -60,7 +60,7 @@ _NEAR_NEEDLE = 1e-3
 
 
 class Scattering(NamedTuple):
-    """What scatters in the tissue, and how it shows."""
+    """Scatterers of the tissue, and how they show."""
 
     box: NDArray[np.float64]
     """(2, 3) or (3, 3) bounds of the tissue in T, in m; see `BodySurface.bounds`."""

@@ -19,7 +19,7 @@ _L1, _L2, _L3, _L4, _L5, _L6 = (
 
 
 class Console(NamedTuple):
-    """What makes grey levels of all echoes."""
+    """Settings by which echoes become grey levels."""
 
     box: NDArray[np.float64]
     """Bounds of the tissue in T, in m; see `BodySurface.bounds`."""
@@ -36,7 +36,7 @@ class Console(NamedTuple):
 
 
 class Acquired(NamedTuple):
-    """Of n frames, where they were acquired and what is added to their echoes."""
+    """Poses of n frames, and what is added to their echoes."""
 
     X_TP: NDArray[np.float64]
     """(n, 3, 4) poses of the probe in the tissue."""

@@ -83,9 +83,9 @@ def segments_of(shaft):  # type: ignore[no-untyped-def]
 def push(x, y, z, k, field):  # type: ignore[no-untyped-def]
     """Return the displacement of a point by segment k of a needle, and how the drag changes.
 
-    The point is relative to the segment's beginning, in m. Returned are the displacement in m, the
-    slope of the drag away from the needle per m of the vector that follows, and that from the
-    needle's nearest point.
+    The point is relative to the segment's beginning, in m. The results are the displacement in m,
+    the slope of the drag away from the needle per m of the vector that follows, and that vector
+    from the needle's nearest point.
     """
     segment, hole = field.segments[k], field.hole
     dx, dy, dz, length, entry, tip = (

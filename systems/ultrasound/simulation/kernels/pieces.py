@@ -57,10 +57,10 @@ def place_pieces(  # type: ignore[no-untyped-def]
 ):
     """Find the pieces that a frame may see; return their number.
 
-    Written are (n,) numbers of pieces, and (n, 4) apparent positions in F in m with the cosine of
-    the sound's angle to the normal. ``growth`` and ``reach`` are the (surfaces,) distances by which
-    surfaces are displaced outwards, and the (samples,) half width of the beam in elevation, in m,
-    with its maximum; node (15,) and F (3, 3) are memory.
+    Their numbers are written to (n,) ``seen``, and to (n, 4) ``places`` their apparent positions in
+    F in m with the cosine of the sound's angle to the normal. ``growth`` are (surfaces,)
+    displacements outwards, and ``reach`` is the (samples,) half width of the beam in elevation, in
+    m, with its maximum; node (15,) and F (3, 3) are memory.
     """
     view, X_FT = sights.bent, sights.X_FT[frame]
     twist_per_radian = rays.twist * rays.lines_per_radian

@@ -92,10 +92,10 @@ def phasor(turns):  # type: ignore[no-untyped-def]
 def bright_echo(rays, place, times, closer, furthest):  # type: ignore[no-untyped-def]
     """Return where and with which phase a bright point in F shows after a number of round trips.
 
-    Returned are the first sample of its echo (-1 if the frame does not see it), the pulse's
+    The results are the first sample of its echo (-1 if the frame does not see it), the pulse's
     fraction, the line, the distance from the array's centre in m, the sample at its depth, half the
-    square of its standard deviations in elevation, of which ``furthest`` is the most, and cosine
-    and sine of the phase. The reflecting surface is closer than the point by ``closer`` m.
+    square of its standard deviations in elevation, at most ``furthest``, and cosine and sine of the
+    phase. The reflecting surface is closer than the point by ``closer`` m.
     """
     line, e, r = line_coordinates(place[0], place[1], place[2], rays)
     depth = r - rays.array_radius

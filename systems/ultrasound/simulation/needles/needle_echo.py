@@ -2,8 +2,9 @@
 
 A smooth cylinder mirrors sound as a line of points in phase does (Wear and Harris 2008, "Frequency
 dependence of backscatter from thin, oblique, finite-length cylinders"): the beam's integral along
-it makes the narrow law of its angle. The tip's wall and faces add up in phase in the same way,
-piece by piece (Kirchhoff's integral). What else returns, from a rough surface, has random phases.
+it gives the narrow dependence on the angle. The tip's wall and faces add up in phase in the same
+way, piece by piece (Kirchhoff's integral). The rest of the echo, from a rough surface, has random
+phases.
 """
 
 from collections.abc import Sequence

@@ -74,11 +74,11 @@ def together(
 
 @njit(**OPTIONS)
 def incidence(shafts, starts, X_FT, centre_offset, node, count):  # type: ignore[no-untyped-def]
-    """Return where needles' nodes, ``node`` m apart from the tip on, see the probe from.
+    """Return the angles at which sound meets needles, at nodes ``node`` m apart from the tip on.
 
-    Returned are (frames, count) sines of the angle between the beam and the needle's normal, and
-    (frames, 3) unit directions in F from the tip to the probe. Shafts are as in `render_needles`;
-    what is outside continues them straight on. See `needle_view` for the offset.
+    The results are (frames, count) sines of the angle between the beam and the needle's normal, and
+    (frames, 3) unit directions in F from the tip to the probe. Shafts are as in `render_needles`,
+    and continue straight beyond their entry. See `needle_view` for the offset.
     """
     sines, towards = np.zeros((len(X_FT), count)), np.zeros((len(X_FT), 3))
     for frame in range(len(X_FT)):

@@ -59,7 +59,7 @@ def draw_needle(seed: int) -> dict[str, Any]:
     """
     rng = np.random.default_rng([seed, 8])
     kind = load_needle(str(rng.choice(_FAMILIES[seed in HELD_OUT])))
-    # What is not of the needle's surface stays as the scenario has it.
+    # Only the needle's surface is drawn; all else stays as the scenario has it.
     surface = ("diffuse_db", "diffuse_lobe_deg", "tip", "bevel_deg", "dimples_db")
     echo = {name: value for name, value in asdict(kind.echo).items() if name in surface}
     echo["diffuse_db"] += float(rng.uniform(-_ROUGHNESS, _ROUGHNESS))

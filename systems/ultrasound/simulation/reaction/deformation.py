@@ -32,22 +32,14 @@ _NO_SHAFT.flags.writeable = False
 
 @dataclass(frozen=True)
 class Indentation(Immutable):
-    """Indentation of the tissue's level top by a sphere.
-
-    Parameters
-    ----------
-    x, y
-        Deepest point of the sphere in T, in m.
-    depth
-        Depth of that point below the undeformed top, in m; 0 for no contact.
-    dome_radius
-        Radius of the sphere, in m.
-    """
+    """Indentation of the tissue's level top by a sphere, deepest at x, y in T, in m."""
 
     x: float = 0.0
     y: float = 0.0
     depth: NotNegative = 0.0
+    """Depth of that point below the undeformed top, in m; 0 for no contact."""
     dome_radius: Positive = 1.0
+    """Radius of the sphere, in m."""
 
     @property
     def radius(self) -> float:
@@ -56,15 +48,10 @@ class Indentation(Immutable):
 
 
 def indentation(X_TP: RigidTransform, dome_radius: float) -> Indentation:
-    """Return the indentation by a probe whose face is a dome.
+    """Return the indentation by a probe with a dome for a face, whose Y axis points out of it.
 
-    Parameters
-    ----------
-    X_TP
-        Pose of the probe in the tissue; its Y axis points out of the face.
-    dome_radius
-        Radius of a sphere with the dome's mean curvature at its apex, in m. Hertz's contact of an
-        ellipsoid differs little from that of this sphere (Johnson 1985, section 4.2).
+    ``dome_radius`` is that of a sphere with the dome's mean curvature at its apex, in m. Hertz's
+    contact of an ellipsoid differs little from that of this sphere (Johnson 1985, section 4.2).
     """
     face = X_TP.translation()
     centre = face - dome_radius * X_TP.rotation().matrix()[:, 1]
@@ -74,28 +61,18 @@ def indentation(X_TP: RigidTransform, dome_radius: float) -> Indentation:
 
 @dataclass(frozen=True, eq=False)
 class Deformation(Immutable):
-    """Displacement of the tissue at one time; see `displacement.indent` and `push`.
-
-    Parameters
-    ----------
-    indentation
-        Indentation by the probe.
-    shaft
-        (m, 3) points along the needle that displaces tissue, entry first, before the probe
-        displaces both, in T, in m; (0, 3) for none.
-    drag
-        Displacement of the tissue at the shaft, towards the tip, in m.
-    drag_reach
-        Distance from the shaft over which the drag falls to 1/e, in m.
-    hole_radius
-        Radius of the hole that the tissue leaves to the needle, in m.
-    """
+    """Displacement of the tissue in T at one time, in m; see `displacement.indent` and `push`."""
 
     indentation: Indentation = Indentation()
     shaft: Annotated[NDArray[np.float64], Shape(None, 3)] = field(default_factory=lambda: _NO_SHAFT)
+    """Points along the needle that displaces tissue, entry first, before the probe displaces both.
+    """
     drag: float = 0.0
+    """Displacement of the tissue at the shaft, towards the tip."""
     drag_reach: Positive = 8e-3
+    """Distance from the shaft over which the drag falls to 1/e."""
     hole_radius: NotNegative = 0.0
+    """Radius of the hole that the tissue leaves to the needle."""
 
     def moved(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the (n, 3) displaced positions of (n, 3) points of the tissue, in T, in m."""

@@ -63,20 +63,18 @@ class Drag(NamedTuple):
 def advance_drag(
     drag: Drag, advance: float, duration: float, parameters: NeedleDragParameters
 ) -> Drag:
-    """Return the drag after a needle has moved at a constant speed.
+    """Return the drag after a needle has moved ``advance`` m at constant speed in ``duration`` s.
 
-    As in Karnopp's friction model of needle insertion (Okamura, Simone and O'Leary 2004), tissue
-    sticks to the needle and moves with it until the elastic force of the displaced tissue, which is
-    proportional to its displacement s, exceeds static friction. It then slides back until the force
-    has fallen to that of sliding friction, and sticks again. Tissue that sticks relaxes with the
-    time constant tau:
-
-        ds/dt = v - s / tau            while |s| < distance,
-        ds/dt = -+ (1 - kept) distance / slip_time     from distance to kept x distance.
-
-    Both are solved in closed form, so the result does not depend on the size of the steps. The
-    needle advances by so many m, negative for a withdrawal, in a duration in s.
+    Withdrawal is negative. The result does not depend on the size of the steps.
     """
+    # As in Karnopp's friction model of needle insertion (Okamura, Simone and O'Leary 2004), tissue
+    # sticks to the needle and moves with it until its elastic force, proportional to the
+    # displacement s, exceeds static friction. It then slides back until the force has fallen to
+    # that of sliding friction, and sticks again. Tissue that sticks relaxes with the time constant
+    # tau. Both are solved in closed form:
+    #
+    #     ds/dt = v - s / tau            while |s| < distance,
+    #     ds/dt = -+ (1 - kept) distance / slip_time     from distance to kept x distance.
     most, tau = parameters.distance, parameters.relaxation_time
     s, slides = drag
     left = duration

@@ -73,7 +73,7 @@ class Tube(NamedTuple):
 
 _TURNED, _ALONG, _LEVEL, _DEPTH = 20.0, 0.01, 0.01, 0.003
 """Greatest differences between layouts: angle in deg about the needle, distance in m along it, and,
-of structures that do not lie beside it, in m along X and Y, and along Z, of T."""
+for structures that do not lie beside it, distances in m along X and Y, and along Z, of T."""
 
 
 @dataclass(kw_only=True)
@@ -105,7 +105,7 @@ class BesideNeedle(Bounded):
     def resolve(
         self, entry: ArrayLike, direction: ArrayLike, reach: float = 0.0
     ) -> NDArray[np.float64]:
-        """Return the (3,) centre in T, in m, of a structure that reaches so far to its surface."""
+        """Return the (3,) centre in T, in m, of a structure with its surface ``reach`` m away."""
         along, across, up = frame_along(np.asarray(direction, dtype=float))
         angle = np.deg2rad(self.angle_deg)
         aside = np.cos(angle) * across + np.sin(angle) * up
@@ -171,7 +171,7 @@ class Structure:
         return []
 
     def surface_echo(self, **others: Any) -> SurfaceEcho:
-        """Return the echo of the surface, of the fields that have the same names, and others."""
+        """Return the echo of the surface, from the fields of the same names and others."""
         names = {each.name for each in fields(SurfaceEcho)} & vars(self).keys()
         return SurfaceEcho(**{name: getattr(self, name) for name in names} | others)
 
