@@ -2,7 +2,7 @@
 
 import shlex
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -222,7 +222,7 @@ def reproduce_command(
     write_printed(results.json_path, data)
 
 
-def _repeat(papers: Sequence[str], number: int, workers: Workers, results: Results) -> None:
+def _repeat(papers: Iterable[str], number: int, workers: Workers, results: Results) -> None:
     """Make some kept runs of each paper again; exit status 1 if any gives other figures."""
     from sonoservo.diagrams.papers.repeats import repeat_kept_runs
     from sonoservo.diagrams.studies.processes import Processes
