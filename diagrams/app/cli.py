@@ -7,11 +7,11 @@ import os
 import re
 import sys
 import traceback
-from collections.abc import Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from typer.main import get_command
@@ -59,7 +59,8 @@ from sonoservo.systems.files.refusals import ConfigurationError, describe, short
 if TYPE_CHECKING:
     from sonoservo.diagrams.app.pages.pages import Pages
     from sonoservo.diagrams.app.run_result import RunResult
-    from sonoservo.diagrams.experiments.experiment import Experiment
+    from sonoservo.diagrams.app.viewed_run import ViewedRun
+    from sonoservo.diagrams.scenario import Scenario
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -135,9 +136,8 @@ def run_command(
 ) -> None:
     """Run a scenario and write its results; exit status 3: stopped for good, or no contact."""
     with console.status("Loading the simulator ..."):
-        from sonoservo.diagrams.app.live.serve import serving
         from sonoservo.diagrams.app.run import run
-        from sonoservo.diagrams.app.terminal import Progress, end_run
+        from sonoservo.diagrams.app.terminal import end_run
         from sonoservo.diagrams.app.viewed_run import ViewedRun
         from sonoservo.diagrams.experiments.registry import load_scenario
 
@@ -153,54 +153,62 @@ def run_command(
         from sonoservo.diagrams.app.pages.pages import open_pages
 
         pages = open_pages(f"{loaded.name}, seed {loaded.seed}", page)
-    progress = Progress(console, loaded)
-    with serving(serve, loaded, say) as (observers, await_peers), ExitStack() as shown:
-
-        def begin() -> None:
-            await_peers()
-            if pages:
-                pages.announce(console, page)
-            shown.enter_context(progress)
-
-        def note(experiment: "Experiment[Any]") -> None:
-            progress(experiment)
-            viewed(experiment)
-
-        result = run(
-            loaded,
-            out=folder,
-            meshcat=pages.meshcat if pages else None,
-            console=pages.console if pages else None,
-            replay=replay,
-            movie=movie,
-            record=record,
-            record_sweeps=record_sweeps,
-            explain=explain,
-            observers=observers,
-            begin=begin,
-            after_step=note,
-            progress=False,
-        )
-    viewed.end(result.log)
-    _tell(result, folder, results, pages)
+    act = partial(
+        run,
+        loaded,
+        out=folder,
+        meshcat=pages.meshcat if pages else None,
+        console=pages.console if pages else None,
+        replay=replay,
+        movie=movie,
+        record=record,
+        record_sweeps=record_sweeps,
+        explain=explain,
+        after_step=viewed,
+        progress=console,
+    )
+    result = _carry_out(act, loaded, folder, viewed, serve, page, pages, results)
     if not result.failure and result.summary["interrupted"]:
         raise typer.Exit(INTERRUPTED)
     end_run(result)
 
 
-def _tell(
-    result: "RunResult", folder: Path, results: Results, pages: "Pages | None", note: str = ""
-) -> None:
-    """Print the figures of a run and where its report is, and end its pages."""
+def _carry_out(
+    act: "Callable[..., RunResult]",
+    scenario: "Scenario",
+    folder: Path,
+    viewed: "ViewedRun",
+    serve: Serving,
+    page: Page,
+    pages: "Pages | None",
+    results: Results,
+    *,
+    how: str = "",
+    again: str = "",
+) -> "RunResult":
+    """Carry out a run, tell its figures and where its report is, and end its pages."""
+    from sonoservo.diagrams.app.live.serve import serving
     from sonoservo.diagrams.app.run_result import end_words, summary_table
 
+    with serving(serve, scenario, say) as (observers, await_peers):
+
+        def begin() -> None:
+            await_peers()
+            if pages:
+                pages.announce(console, page)
+            if how:
+                console.print(how)
+
+        result = act(observers=observers, begin=begin)
+    viewed.end(result.log)
     console.print(summary_table(result))
     say_report(folder)
-    if note:
-        say(note)
+    if again:
+        say(again)
     write_printed(results.json_path, result.summary)
     if pages:
         pages.end(console, end_words(result), folder / "report.html")
+    return result
 
 
 def drive_command(
@@ -222,9 +230,8 @@ def drive_command(
     with console.status("Loading the simulator ..."):
         from sonoservo.diagrams.app.drive import DRIVING, drive
         from sonoservo.diagrams.app.kept_runs.kept_run import refusing
-        from sonoservo.diagrams.app.live.serve import serving
         from sonoservo.diagrams.app.pages.pages import open_pages
-        from sonoservo.diagrams.app.terminal import Progress, end_run
+        from sonoservo.diagrams.app.terminal import end_run
         from sonoservo.diagrams.app.viewed_run import ViewedRun
         from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
         from sonoservo.diagrams.experiments.registry import load_scenario
@@ -237,28 +244,15 @@ def drive_command(
     viewed = ViewedRun(log, following)
     folder = results.out or Path("out") / f"{loaded.name}_driven_seed{loaded.seed}"
     pages = open_pages(f"{loaded.name}, driven", page)
-    progress = Progress(console, following)
-    with serving(serve, following, say) as (observers, await_peers), ExitStack() as shown:
-
-        def begin() -> None:
-            await_peers()
-            pages.announce(console, page)
-            console.print(DRIVING)
-            shown.enter_context(progress)
-
-        result = drive(
-            following,
-            pages.console,
-            meshcat=pages.meshcat,
-            observers=observers,
-            out=folder,
-            begin=begin,
-            show=progress.show,
-        )
-    viewed.end(result.log)
+    act = partial(
+        drive, following, pages.console, meshcat=pages.meshcat, out=folder, progress=console
+    )
     again = f"To repeat this run: sonoservo run {folder / 'scenario.yaml'}"
-    _tell(result, folder, results, pages, again)
-    end_run(result)
+    end_run(
+        _carry_out(
+            act, following, folder, viewed, serve, page, pages, results, how=DRIVING, again=again
+        )
+    )
 
 
 def scan_command(

@@ -1,17 +1,20 @@
 """Teleoperated runs of a scenario: needle, phantom and controller are driven from a page."""
 
 import itertools
+import re
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from pydrake.geometry import Meshcat
 from pydrake.systems.framework import System
+from rich.console import Console as Terminal
 
 from sonoservo.diagrams.app.kept_runs.kept_run import KeptRun, refusing
-from sonoservo.diagrams.app.pages.pacer import RealTime
+from sonoservo.diagrams.app.pages.pacer import Pacer
+from sonoservo.diagrams.app.run import progress_bar
 from sonoservo.diagrams.app.run_result import RunResult
 from sonoservo.diagrams.experiments.following import FollowingExperiment
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
@@ -23,8 +26,8 @@ from sonoservo.diagrams.experiments.following_scene import (
 from sonoservo.diagrams.scenario import Scenario, require_scenario
 from sonoservo.systems.control.controller_schedule import ControllerSchedule, OperatorSettings
 from sonoservo.systems.display.console.controls import OperatorPanel, operator_controls
-from sonoservo.systems.evaluation.log import write_log
-from sonoservo.systems.files.writing import claim_folder, write_atomically
+from sonoservo.systems.evaluation.run_log import RunLog
+from sonoservo.systems.files.writing import write_atomically
 from sonoservo.systems.needle.hand import OperatorHand
 from sonoservo.systems.robot.operator_phantom_motion import OperatorPhantomMotion
 
@@ -32,7 +35,6 @@ if TYPE_CHECKING:
     from sonoservo.systems.display.console.console import Console
 
 _STRIDE = 1 / 16  # Time in s between two readings of the buttons: simulated, or real while paused
-_SAVE_EVERY = 10.0  # Simulated time in s after which the driven scenario is saved again
 # Shortest drive in s that is saved to a file of its own; clicks may follow one another quickly.
 _MIN_TRY = 1.0
 DRIVING = """\
@@ -99,6 +101,13 @@ class DrivenExperiment(FollowingExperiment):
         pushed = any(push.speed for push in self._hand.insertion(context).parameters.pushes)
         return "" if pushed else "press W to push the needle in: switch the keys on first"
 
+    def summarize(self, log: RunLog) -> dict[str, Any]:
+        """Return the figures of a log, with advice for a hand in place of a scenario's fields."""
+        summary = super().summarize(log)
+        if advice := summary["detection"].get("advice"):
+            summary["detection"]["advice"] = re.sub(r" \([\w., ]+\)", "", advice)
+        return summary
+
     def happened(self) -> FollowingScenario:
         """Return the scenario that repeats the operator's actions so far."""
         context_of = self.context_of
@@ -123,90 +132,62 @@ def drive(
     out: Path | None = None,
     begin: Callable[[], None] | None = None,
     show: Callable[[float, str], None] | None = None,
+    progress: bool | Terminal | None = None,
 ) -> RunResult:
     """Let an operator drive in real time, for the scenario's duration or until they finish.
 
     The folder gets scenario.yaml, the drive, which `run` repeats; scenario_1.yaml and so on, drives
     that were saved, abandoned by a restart, or made earlier; and the results of the run since its
-    last start, which are returned. `begin` is called once it is known that the scenario can be
-    carried out, and `show` regularly with the simulated time in s and a status text.
-    ConfigurationError if the scenario cannot be carried out.
+    last start, which are returned. `begin` and `progress` are those of `run`, and `show` is called
+    regularly with the simulated time in s and a status text. ConfigurationError if the scenario
+    cannot be carried out.
     """
     with refusing(scenario):
         experiment = DrivenExperiment(scenario, console, meshcat, observers)
-    with claim_folder(out):
+    kept, bar = KeptRun(experiment, out=out), progress_bar(scenario, progress)
+    shown = [each for each in (bar.show if bar else None, show) if each is not None]
+
+    def set_aside() -> None:
         if begin is not None:
             begin()
-        return _drive(experiment, scenario.duration, console, out, show)
+        if out is not None and (out / "scenario.yaml").exists():  # of an earlier drive
+            (out / "scenario.yaml").rename(out / _next_name(out))
 
-
-def _drive(
-    experiment: DrivenExperiment,
-    duration: float,
-    console: "Console",
-    out: Path | None,
-    show: Callable[[float, str], None] | None,
-) -> RunResult:
-    console.controls.offer_buttons("pause", "restart", "save", "finish")
-    real_time = RealTime()
-
-    def save(name: str) -> None:
-        if out is not None:
-            write_atomically(out / name, experiment.happened().to_yaml())
-
-    def save_all(log_path: Path) -> None:
-        save("scenario.yaml")
-        write_log(log_path, experiment.log())
-
-    if out is not None and (out / "scenario.yaml").exists():  # of an earlier drive
-        (out / "scenario.yaml").rename(out / _next_name(out))
-    kept = KeptRun(experiment.scenario, save_all, out=out)
-    with kept:
+    def simulate() -> None:
         start = True
-        while start or experiment.time < duration:
+        while start or experiment.time < scenario.duration:
             if start:
                 kept.begin()
                 experiment.start(real_time=True)
-                real_time.start(experiment.time)
-                start = paused = False
-                saved = numbered = 0.0
-            pressed = console.controls.pressed()
+                pacer = Pacer(console, "restart", "save", "finish", speed=None)
+                numbered = 0.0
+            pressed = pacer.look(experiment.time)
             if "finish" in pressed:
                 break
             if pressed & {"save", "restart"} and experiment.time >= numbered + _MIN_TRY:
-                save(_next_name(out))
+                if out is not None:
+                    write_atomically(out / _next_name(out), experiment.happened().to_yaml())
                 numbered = experiment.time
             start = "restart" in pressed
             if start:
                 continue
-            if "pause" in pressed:
-                paused = not paused
-            if paused:
-                time.sleep(_STRIDE)
-                real_time.start(experiment.time)
+            if pacer.paused or pacer.late:
                 experiment.forgive_delay()
+            if pacer.paused:
+                time.sleep(_STRIDE)
             else:
-                experiment.advance(min(experiment.time + _STRIDE, duration))
-                if real_time.is_late(experiment.time):
-                    experiment.forgive_delay()
-                if experiment.time >= saved + _SAVE_EVERY:
-                    save("scenario.yaml")
-                    saved = experiment.time
-            pace, hint = _pace(real_time.factor), experiment.hint()
-            console.say(paused=paused, pace="" if paused else pace, note=hint)
-            if show is not None:
-                show(experiment.time, "; ".join(filter(None, ["paused" if paused else pace, hint])))
-    return kept.finish(experiment)
+                experiment.advance(min(experiment.time + _STRIDE, scenario.duration))
+            kept.go_on()
+            hint = experiment.hint()
+            console.say(note=hint)
+            said = "; ".join(filter(None, ["paused" if pacer.paused else pacer.pace, hint]))
+            for each in shown:
+                each(experiment.time, said)
+
+    return kept.carry_out(simulate, begin=set_aside, bar=bar)
 
 
-def _pace(factor: float | None) -> str:
-    if factor is None or factor > 0.95:
-        return ""
-    return f"only {factor:.1f} x real time"
-
-
-def _next_name(out: Path | None) -> str:
+def _next_name(out: Path) -> str:
     """Return the first unused name of the series scenario_1.yaml, scenario_2.yaml and so on."""
-    numbers = itertools.count(1)
-    names = (f"scenario_{number}.yaml" for number in numbers)
-    return next(name for name in names if out is None or not (out / name).exists())
+    names = (f"scenario_{number}.yaml" for number in itertools.count(1))
+    return next(name for name in names if not (out / name).exists())

@@ -389,10 +389,17 @@ def _plain(hint: Any) -> Any:
 
 def _made(schema: Any, options: dict[str, Any]) -> Any:
     """Return a dataclass of the options that are its fields, which are taken out."""
-    try:
+    with refusing_values():
         return schema(**{each.name: options.pop(each.name) for each in fields(schema)})
+
+
+@contextmanager
+def refusing_values(source: object = "") -> Iterator[None]:
+    """Turn a ValueError, which names what is not allowed, into a ConfigurationError."""
+    try:
+        yield
     except ValueError as error:
-        raise ConfigurationError(str(error)) from error
+        raise ConfigurationError(f"{source}: {error}" if source else str(error)) from error
 
 
 def _require_text(name: str, value: object) -> None:

@@ -2,7 +2,7 @@
 
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack, nullcontext
+from contextlib import ExitStack
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,7 +14,7 @@ from rich.console import Console as Terminal
 from sonoservo.diagrams.app.kept_runs.kept_run import KeptRun, refusing
 from sonoservo.diagrams.app.pages.pacer import Pacer
 from sonoservo.diagrams.app.run_result import RunResult
-from sonoservo.diagrams.app.terminal import Progress
+from sonoservo.diagrams.app.terminal import Progress, run_progress
 from sonoservo.diagrams.experiments.experiment import Experiment
 from sonoservo.diagrams.experiments.registry import (
     experiment_class,
@@ -25,10 +25,8 @@ from sonoservo.diagrams.scenario import Scenario
 from sonoservo.systems.display.console.readings import Sample
 from sonoservo.systems.display.pages.meshcat_page import open_meshcat
 from sonoservo.systems.display.pages.site import Site
-from sonoservo.systems.evaluation.log import write_log
 from sonoservo.systems.evaluation.reports.movie import check_movie
 from sonoservo.systems.files.refusals import ConfigurationError
-from sonoservo.systems.files.writing import claim_folder, write_atomically
 
 if TYPE_CHECKING:
     from sonoservo.systems.display.console.console import Console
@@ -51,7 +49,7 @@ def run(
     observers: Mapping[str, System] | None = None,
     begin: Callable[[], None] | None = None,
     after_step: Callable[[Experiment[Any]], None] | None = None,
-    progress: bool | None = None,
+    progress: bool | Terminal | None = None,
 ) -> RunResult:
     """Run a scenario of any experiment to its end, or until it is interrupted from the keyboard.
 
@@ -93,7 +91,8 @@ def run(
         Function called after every volume or slice with the experiment, which provides the time and
         the tracker's status.
     progress
-        Whether to show a progress bar; by default, in a terminal and in a notebook only.
+        Whether to show a progress bar, or the terminal to show it in; by default, in a terminal and
+        in a notebook only.
 
     Raises
     ------
@@ -114,7 +113,7 @@ def run(
     fed = "console" in possible
     if console is not None and not fed:
         console.say(without=["slices", "strips", "readings"])
-    bar = _bar(scenario, progress)
+    bar = progress_bar(scenario, progress)
     with ExitStack() as stack:
         if replay and meshcat is None:
             meshcat = open_meshcat(stack.enter_context(Site()))
@@ -131,45 +130,27 @@ def run(
                 observers=observers,
             )
         pacer = Pacer(console) if console is not None else None
-
-        def save(path: Path) -> None:
-            write_log(path, experiment.log())
-            if console is not None:  # which may have changed it
-                write_atomically(path.with_name("scenario.yaml"), experiment.happened().to_yaml())
-
-        kept = KeptRun(
-            scenario,
-            save,
-            out=out,
-            meshcat=meshcat,
-            movie=movie,
-        )
+        kept = KeptRun(experiment, out=out, meshcat=meshcat, movie=movie)
 
         def note(experiment: Experiment[Any]) -> None:
             kept.go_on()
-            for notified in (bar, after_step):
-                if notified is not None:
-                    notified(experiment)
+            if bar is not None:
+                bar.show(experiment.time, experiment.status)
+            if after_step is not None:
+                after_step(experiment)
             if console is not None and not fed:
                 console.add(Sample(time=experiment.time, reason=experiment.status))
             if pacer is not None and pacer.wait(experiment.time):
                 experiment.set_speed(pacer.speed)
 
-        stack.enter_context(claim_folder(out))
-        if begin is not None:
-            begin()
-        with bar or nullcontext(), kept:
-            try:
-                experiment.run(note, real_time=shown)
-            finally:
-                experiment.close()
-        return kept.finish(experiment)
+        return kept.carry_out(lambda: experiment.run(note, real_time=shown), begin=begin, bar=bar)
 
 
-def _bar(scenario: Scenario, wanted: bool | None) -> Progress | None:
+def progress_bar(scenario: Scenario, wanted: bool | Terminal | None) -> Progress | None:
     """Return a progress bar, if it is wanted or, by default, if somebody sees it."""
-    terminal = Terminal()
-    seen = terminal.is_terminal and sys.stdout.isatty()
-    if terminal.is_jupyter:  # where a bar is a widget
-        seen = find_spec("ipywidgets") is not None
-    return Progress(terminal, scenario) if (seen if wanted is None else wanted) else None
+    terminal = wanted if isinstance(wanted, Terminal) else Terminal()
+    if wanted is None:
+        wanted = terminal.is_terminal and sys.stdout.isatty()
+        if terminal.is_jupyter:  # where a bar is a widget
+            wanted = find_spec("ipywidgets") is not None
+    return run_progress(terminal, scenario) if wanted else None

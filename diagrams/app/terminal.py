@@ -12,7 +12,6 @@ from rich.table import Table as TerminalTable
 from rich.text import Text
 
 from sonoservo.diagrams.app.run_result import RunResult
-from sonoservo.diagrams.experiments.experiment import Experiment
 from sonoservo.diagrams.scenario import Scenario
 from sonoservo.diagrams.studies.study_report import Study, rows_table
 from sonoservo.systems.evaluation.compile_free_clock import COMPILATION
@@ -20,7 +19,6 @@ from sonoservo.systems.evaluation.labels import LABELS, look_up, recording_label
 from sonoservo.systems.evaluation.source_checks import Finding, Grade, sort_findings
 from sonoservo.systems.evaluation.success import RunOutcome, run_outcome
 from sonoservo.systems.evaluation.table import Table
-from sonoservo.systems.signals.needle_estimate import NeedleEstimate
 
 
 def end_run(result: RunResult) -> None:
@@ -46,10 +44,19 @@ def study_table(study: Study, width: int) -> TerminalTable:
     )
 
 
-class _Bar:
-    """Progress bar with a state in words; a context manager."""
+class Progress(Listener):
+    """Progress bar with a state in words; a context manager.
 
-    def __init__(self, console: Console, name: str, total: float) -> None:
+    It says when kernels are being compiled. A console that shows no bar gets a line each instead.
+    `begun` says what begins, and `counted` is the format of how much of the total is done.
+    """
+
+    def __init__(
+        self, console: Console, name: str, total: float, *, begun: str, counted: str
+    ) -> None:
+        self._console, self._name, self._total = console, name, total
+        self._begun, self._counted = begun, counted
+        self._seen, self._compiled = console.is_terminal or console.is_jupyter, False
         self._bar = RichProgress(
             TextColumn("{task.description}", markup=False),
             BarColumn(),
@@ -57,39 +64,22 @@ class _Bar:
             TimeRemainingColumn(),
             console=console,
         )
-        self._total = total
-        self._task = self._bar.add_task(name, total=total, state="")
-
-    def __enter__(self) -> Self:
-        self._bar.start()
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self._bar.stop()
-
-
-class Progress(_Bar, Listener):
-    """Progress bar of a run, with the tracker's status; call it after every step.
-
-    It says when kernels are being compiled. A console that shows no bar gets a line each instead.
-    """
-
-    def __init__(self, console: Console, scenario: Scenario) -> None:
-        super().__init__(console, "starting ...", scenario.duration)
-        self._name, self._console, self._compiled = scenario.name, console, False
-        self._seen = console.is_terminal or console.is_jupyter
+        self._task = self._bar.add_task("starting ...", total=total, state="")
 
     def __enter__(self) -> Self:
         register(COMPILATION, self)
-        if not self._seen:
-            self._console.print(f"Simulating {self._name}, {self._total:g} s ...")
-            return self
-        return super().__enter__()
+        if self._seen:
+            self._bar.start()
+        else:
+            self._console.print(f"{self._begun} ...")
+        return self
 
-    def __exit__(self, *error: object) -> None:
+    def __exit__(self, kind: object, *error: object) -> None:
         unregister(COMPILATION, self)
         if self._seen:
-            super().__exit__(*error)
+            nothing = kind is not None and not self._bar.tasks[0].completed
+            self._bar.update(self._task, visible=not nothing)
+            self._bar.stop()
 
     def on_start(self, event: Event) -> None:
         """Say that kernels are being compiled."""
@@ -102,23 +92,23 @@ class Progress(_Bar, Listener):
     def on_end(self, event: Event) -> None:
         """Leave what was said until the next step."""
 
-    def __call__(self, experiment: Experiment[Any]) -> None:
-        """Move the bar."""
-        self.show(experiment.time, experiment.status)
-
-    def show(self, time: float, state: str) -> None:
-        """Move the bar to a simulated time in s, and show a status text."""
-        state = f"{time:5.1f} of {self._total:g} s  {state}"
-        self._bar.update(self._task, description=self._name, completed=time, state=state)
+    def show(self, done: float, state: str = "") -> None:
+        """Move the bar, and show a state."""
+        state = f"{self._counted.format(done, self._total)}  {state}"
+        self._bar.update(self._task, description=self._name, completed=done, state=state)
 
 
-class VolumeProgress(_Bar):
-    """Progress bar of a recording; call it with each volume's number and the estimate, if any."""
+def run_progress(console: Console, scenario: Scenario) -> Progress:
+    """Return the progress bar of a run; it is shown the simulated time in s."""
+    name, duration = scenario.name, scenario.duration
+    begun = f"Simulating {name}, {duration:g} s"
+    return Progress(console, name, duration, begun=begun, counted="{:5.1f} of {:g} s")
 
-    def __call__(self, number: int, estimate: NeedleEstimate | None = None) -> None:
-        """Move the bar."""
-        state = f"volume {number + 1} of {self._total}  {'' if estimate is None else estimate.mode}"
-        self._bar.update(self._task, completed=number + 1, state=state)
+
+def volume_progress(console: Console, act: str, name: str, count: int) -> Progress:
+    """Return the progress bar of what acts on volumes; it is shown how many are done."""
+    begun = f"{act} {name}, {count} volume{'s' * (count > 1)}"
+    return Progress(console, name, count, begun=begun, counted="volume {} of {}")
 
 
 def mode_words(summary: Mapping[str, Any]) -> str:

@@ -17,7 +17,6 @@ UNCERTAINTY = (0.70, 0.0, 1.0)
 FORCE = (0.95, 0.65, 0.0)
 CROSS_SECTION = (0.25, 0.60, 0.95)
 STOPPED = (0.80, 0.35, 0.65)
-PANEL = (0.06, 0.06, 0.07)
 
 MODE_COLOURS = {
     TrackingMode.SEARCHING: (0.52, 0.54, 0.60),

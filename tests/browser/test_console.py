@@ -239,24 +239,6 @@ def test_gain_window_planes_and_cine(open_page, console, shown):
     eventually(page, lambda: check_needle(page, *shown[1]))
 
 
-@pytest.mark.slow
-def test_every_page_shows_the_newest_and_two_share_the_sliders(open_page, console, shown):
-    console.controls.offer(controller_controls(gain=1.6, force=2.0, min_force=0.5))
-    first = open_page(console.web_url)
-    show(console, *shown[0])
-    eventually(first, lambda: check_needle(first, *shown[0]))
-    second = open_page(console.web_url)  # opened late
-    eventually(second, lambda: check_needle(second, *shown[0]))
-    second.locator("#sliders input").first.fill("0.4")
-    first.wait_for_function("document.querySelector('#sliders output').textContent == '0.4 1/s'")
-    first.close()
-    show(console, *shown[1])
-    eventually(second, lambda: check_needle(second, *shown[1]))
-    second.reload()
-    second.wait_for_selector("body[data-ready]", state="attached")
-    eventually(second, lambda: check_needle(second, *shown[1]))
-
-
 def test_keys_by_mistake_move_nothing_and_space_pauses_without_scrolling(open_page, console):
     console.controls.offer(operator_controls(azimuth_deg=10, dip_deg=5))
     console.controls.offer_buttons("pause", "restart", "save", "finish")

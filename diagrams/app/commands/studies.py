@@ -2,7 +2,7 @@
 
 import shlex
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -18,6 +18,7 @@ from sonoservo.diagrams.app.options import (
     ScenarioArgument,
     Workers,
     console,
+    refusing_values,
     say,
     say_report,
     write_printed,
@@ -189,7 +190,7 @@ def reproduce_command(
     command += ["--only", only] if only else []
     command += ["--finished"] if finished else []
     command += [] if results.out is None else ["--out", str(results.out)]
-    try:
+    with refusing_values():
         options = StudyOptions(
             folder=folder,
             quick=quick,
@@ -199,8 +200,6 @@ def reproduce_command(
             jobs=workers.jobs,
             console=console,
         )
-    except ValueError as error:
-        raise ConfigurationError(str(error)) from error
     studies = []
     try:
         with nullcontext(FinishedOnly()) if finished else opened(workers) as executor:
@@ -223,7 +222,7 @@ def reproduce_command(
     write_printed(results.json_path, data)
 
 
-def _repeat(papers: Sequence[str], number: int, workers: Workers, results: Results) -> None:
+def _repeat(papers: Iterable[str], number: int, workers: Workers, results: Results) -> None:
     """Make some kept runs of each paper again; exit status 1 if any gives other figures."""
     from sonoservo.diagrams.papers.repeats import repeat_kept_runs
     from sonoservo.diagrams.studies.processes import Processes

@@ -22,6 +22,7 @@ from sonoservo.diagrams.app.options import (
     Tracker,
     WaitOption,
     console,
+    refusing_values,
     say,
     say_notes,
     say_report,
@@ -162,7 +163,7 @@ def _track_file(
     real_time: bool,
     log: Path | None,
 ) -> None:
-    from sonoservo.diagrams.app.terminal import VolumeProgress, mode_table, mode_words
+    from sonoservo.diagrams.app.terminal import mode_table, mode_words, volume_progress
     from sonoservo.diagrams.app.viewed_run import ViewedRun
     from sonoservo.diagrams.app.volumes.opening import open_volumes
     from sonoservo.diagrams.app.volumes.track import track_recording
@@ -173,10 +174,10 @@ def _track_file(
     folder = results.out or Path("out") / f"{path.name.partition('.')[0]}_track"
     viewed = ViewedRun(log)
     pages = open_page(path.name)
-    with VolumeProgress(console, path.name, len(recording)) as progress:
+    with volume_progress(console, "Tracking", path.name, len(recording)) as progress:
 
         def after_volume(number: int, estimate: "NeedleEstimate") -> None:
-            progress(number, estimate)
+            progress.show(number + 1, estimate.mode)
             if log is not None:
                 viewed.show(recording[number], estimate)
 
@@ -230,7 +231,7 @@ def bridge_command(
         raise ConfigurationError(
             f"bridge: {source} and {target}: one must be an address (igtl://...), the other a file"
         )
-    try:
+    with refusing_values():
         if is_address(target):
             recording = open_volumes(Path(source), reading)
             _say_about(recording)
@@ -248,8 +249,6 @@ def bridge_command(
             left_out = "".join(f", {count} left out ({why})" for why, count in reasons)
             done = f"{summary['volumes']} volumes recorded, {summary['dropped']} dropped"
             say(f"{done}{left_out}: {target}")
-    except ValueError as error:
-        raise ConfigurationError(str(error)) from error
     write_printed(results.json_path, summary)
     if summary["interrupted"]:
         raise typer.Exit(INTERRUPTED)
@@ -276,12 +275,10 @@ def locate_command(
     from sonoservo.diagrams.app.volumes.opening import open_volumes
     from sonoservo.systems.tracking.localizer_parameters import NeedleLocalizerParameters
 
-    try:
+    with refusing_values():
         parameters = NeedleLocalizerParameters().knowing(
             beam_width=curve.beam_width, echo_offset=curve.echo_offset
         )
-    except ValueError as error:
-        raise ConfigurationError(str(error)) from error
     if not reading.reconstruct:  # times and poses do not matter for a single volume
         reading.volume_rate, reading.poses = 1.0, "none"
     opened = open_volumes(volume, reading)
@@ -354,14 +351,16 @@ def calibrate_command(
 
     The tissue must stand still while the probe moves.
     """
-    from sonoservo.diagrams.app.terminal import VolumeProgress, pose_error_table
+    from sonoservo.diagrams.app.terminal import pose_error_table, volume_progress
     from sonoservo.diagrams.app.volumes.calibrate import calibrate_recording, pose_error_figures
     from sonoservo.diagrams.app.volumes.opening import open_volumes
 
     opened = open_volumes(recording, reading)
     say_notes(*opened.notes)
-    with VolumeProgress(console, recording.name, len(opened)) as progress:
-        figures = pose_error_figures(calibrate_recording(opened, after_volume=progress))
+    with volume_progress(console, "Calibrating", recording.name, len(opened)) as progress:
+        figures = pose_error_figures(
+            calibrate_recording(opened, after_volume=lambda number: progress.show(number + 1))
+        )
     console.print(pose_error_table(figures) if figures["found"] else figures["reason"])
     write_printed(results.json_path, figures)
     if not figures["found"]:

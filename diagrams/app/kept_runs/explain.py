@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from rich.table import Table
 
+from sonoservo.diagrams.app.options import refusing_values
 from sonoservo.systems.evaluation.explanation.explained_volume import (
     AFTER,
     BEFORE,
@@ -92,11 +93,9 @@ def read_explained_run(folder: Path) -> ExplainedRun:
             f"{folder} has no explanations; repeat the run with --explain "
             f"(sonoservo run SCENARIO --explain --out {folder})"
         )
-    try:
+    with refusing_values():
         kept = read_explanations(folder)
         log = read_log(folder / "log.npz", RunLog) if (folder / "log.npz").is_file() else None
-    except ValueError as error:
-        raise ConfigurationError(str(error)) from error
     if not kept:
         raise ConfigurationError(
             f"{folder} was run with --explain, but nothing happened that was to be explained: "

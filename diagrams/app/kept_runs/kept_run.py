@@ -4,11 +4,11 @@ import os
 import shlex
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from pydrake.geometry import Meshcat
 
@@ -20,13 +20,22 @@ from sonoservo.diagrams.experiments.scenario_changes import base_of, changed_fie
 from sonoservo.diagrams.scenario import Scenario
 from sonoservo.systems.evaluation.compile_free_clock import CompileFreeClock
 from sonoservo.systems.evaluation.explanation.explained_volume import clear_explanations
+from sonoservo.systems.evaluation.log import write_log
 from sonoservo.systems.evaluation.reports.movie import write_movie
 from sonoservo.systems.evaluation.reports.report import Story, save_replay
 from sonoservo.systems.evaluation.reports.track_plots import write_pictures
 from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
-from sonoservo.systems.files.writing import Unwritten, write_atomically, write_json
+from sonoservo.systems.files.writing import (
+    Unwritten,
+    claim_folder,
+    write_atomically,
+    write_json,
+)
 
-_SAVE_EVERY = 10.0  # Wall-clock time in s after which the log is saved again during a run
+if TYPE_CHECKING:
+    from sonoservo.diagrams.app.terminal import Progress
+
+_SAVE_EVERY = 10.0  # Wall-clock time in s after which log and scenario are saved again
 PICTURES = "slices.npz"
 """File with the slices through the needle of every volume."""
 
@@ -49,26 +58,42 @@ def refusing(scenario: Scenario) -> Iterator[None]:
 class KeptRun:
     """A run that writes its scenario at the start, its log in any case, and its results at the end.
 
-    It is a context manager around the simulation, in which its clock runs. An interruption from the
-    keyboard, or a recording that cannot be written, ends the simulation but not the program.
-    `write_log` writes the log so far to a path; without ``out``, no file is written. `unwritten`
-    collects the errors of files.
+    An interruption from the keyboard, or a recording that cannot be written, ends the simulation
+    but not the program. Without ``out``, no file is written. `unwritten` collects the errors of
+    files.
     """
 
     def __init__(
         self,
-        scenario: Scenario,
-        write_log: Callable[[Path], Any],
+        experiment: Experiment[Any],
         *,
         out: Path | None = None,
         meshcat: Meshcat | None = None,
         movie: Path | None = None,
     ) -> None:
-        self.scenario, self._write_log = scenario, write_log
+        self._experiment, self.scenario = experiment, experiment.scenario
         self.out, self._meshcat, self._movie = out, meshcat, movie
         self._clock = CompileFreeClock()
         self.interrupted = False
         self.unwritten = Unwritten()
+
+    def carry_out(
+        self,
+        simulate: Callable[[], None],
+        *,
+        begin: Callable[[], None] | None = None,
+        bar: "Progress | None" = None,
+    ) -> RunResult:
+        """Simulate, and write the output files; ``begin`` is called when the folder is claimed."""
+        with claim_folder(self.out):
+            if begin is not None:
+                begin()
+            with bar or nullcontext(), self:
+                try:
+                    simulate()
+                finally:
+                    self._experiment.close()
+            return self._finish()
 
     def __enter__(self) -> Self:
         if self.out is not None:
@@ -97,12 +122,13 @@ class KeptRun:
         self._started = self._clock()
 
     def go_on(self) -> None:
-        """Save the log so far if the last time was long ago; call this regularly."""
+        """Save the run so far if the last time was long ago; call this regularly."""
         if time.perf_counter() - self._saved > _SAVE_EVERY:
             self._save()
 
-    def finish(self, experiment: Experiment[Any]) -> RunResult:
+    def _finish(self) -> RunResult:
         """Summarise a run that has ended, and write its output files."""
+        experiment = self._experiment
         log, presenter = experiment.log(), present(experiment)
         summary = {
             "scenario": self.scenario.name,
@@ -127,12 +153,12 @@ class KeptRun:
             published=experiment.happened().published_figures,
             plots=presenter.plots(log),
         )
-        self._write(result, experiment, presenter)
+        self._write(result, presenter)
         return replace(result, failure=self.unwritten.failure)
 
-    def _write(self, result: RunResult, experiment: Experiment[Any], presenter: Presenter) -> None:
+    def _write(self, result: RunResult, presenter: Presenter) -> None:
         """Write pictures, plots, report.html, movie and, with a Meshcat, replay.html."""
-        log = result.log
+        log, experiment = result.log, self._experiment
         if self._movie is not None:
             with self.unwritten.collect():
                 write_movie(self._movie, presenter.frames(log), presenter.frame_rate)
@@ -162,5 +188,7 @@ class KeptRun:
     def _save(self) -> None:
         if self.out is not None:
             with self.unwritten.collect():
-                self._write_log(self.out / "log.npz")
+                write_log(self.out / "log.npz", self._experiment.log())
+                # which a console may have changed
+                write_atomically(self.out / "scenario.yaml", self._experiment.happened().to_yaml())
         self._saved = time.perf_counter()

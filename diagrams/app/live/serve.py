@@ -8,7 +8,7 @@ from typing import Any
 
 from pydrake.systems.framework import System
 
-from sonoservo.diagrams.app.options import Serving
+from sonoservo.diagrams.app.options import Serving, refusing_values
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
 from sonoservo.diagrams.experiments.following_scene import observer_events, recording_settings
 from sonoservo.diagrams.scenario import Scenario, require_scenario
@@ -92,9 +92,7 @@ def needle_names(changes: Sequence[str], *, points: bool = False) -> NeedleNames
         field, equals, name = change.partition("=")
         if field not in _NAMED or not equals:
             raise ConfigurationError(f"name: {change!r}; {suggest(field, _NAMED)}")
-        try:
-            changed: dict[str, Any] = {field: name}
+        changed: dict[str, Any] = {field: name}
+        with refusing_values():
             names = replace(names, **changed)
-        except ValueError as error:
-            raise ConfigurationError(str(error)) from error
     return names

@@ -15,7 +15,7 @@ from sonoservo.diagrams.app.interruption import is_interrupted
 from sonoservo.diagrams.app.options import LiveLimits
 from sonoservo.diagrams.app.volumes.calibrate import pose_error_figures
 from sonoservo.diagrams.app.volumes.estimates_table import EstimatesTable, ModeCount, estimate_row
-from sonoservo.diagrams.needle_tracker import MakeNeedleTracker
+from sonoservo.diagrams.app.volumes.track import make_bench
 from sonoservo.diagrams.tracker_bench import Sample, Sink, Tracked, TrackerBench
 from sonoservo.diagrams.trackers.tracker_parts import TrackerParameters
 from sonoservo.systems.files.writing import write_json
@@ -112,14 +112,8 @@ def track_live(
             ended = True
             if first is not None:
                 said = source.newest.acquisition if source.newest else None
-                noted = int(said.settings.get("tracker_seed", 0)) if said else 0
-                tracker = MakeNeedleTracker(
-                    correct_poses=correct_poses,
-                    parameters=parameters,
-                    period=1.0,
-                    seed=noted if seed is None else seed,
-                )
-                bench = TrackerBench(tracker, logged=False)
+                settings = said.settings if said else {}
+                bench = make_bench(settings, parameters, seed, correct_poses, logged=False)
                 ended = bench.run(chain([first], samples), sinks)
         except KeyboardInterrupt:
             ended = False

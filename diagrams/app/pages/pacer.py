@@ -5,6 +5,8 @@ from collections import deque
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
+from sonoservo.systems.evaluation.reports.report import speed_text
+
 if TYPE_CHECKING:
     from sonoservo.systems.display.console.console import Console
 
@@ -14,25 +16,42 @@ _LOOK = 1 / 32  # Time in s between two looks at the console during a pause
 class Pacer:
     """Holds a run back while its console asks for it; call `wait` after every volume.
 
-    The speed is a multiple of real time, 0 for as fast as possible; with ``keeps_speed``, `wait`
-    also holds the run to it, which a simulator does itself.
+    A program that goes on in strides of its own calls `look` before each instead, and obeys
+    `paused` and `late`. The speed is a multiple of real time, 0 for as fast as possible, None
+    without a choice; with ``keeps_speed``, `wait` also holds the run to it, which a simulator does
+    itself. The console has a button that pauses, and others.
+
+    `paused`: what the console wants; `late`: whether the delay is too large to make up for; `pace`
+    in words.
     """
 
     def __init__(
-        self, console: "Console", *, speed: float = 1.0, keeps_speed: bool = False
+        self,
+        console: "Console",
+        *buttons: str,
+        speed: float | None = 1.0,
+        keeps_speed: bool = False,
     ) -> None:
         self._console = console
         self._keeps_speed = keeps_speed
         self._real_time = RealTime()
         self._origin: tuple[float, float] | None = None
-        self._paused = False
-        self._speed = speed
-        console.controls.offer_buttons("pause", "step", "stop", speed=speed)
+        self.paused = self.late = False
+        self.pace = ""
+        console.controls.offer_buttons("pause", *(buttons or ("step", "stop")), speed=speed)
+        self.speed: float = console.controls.speed
 
-    @property
-    def speed(self) -> float:
-        """Speed that the console asks for."""
-        return self._speed
+    def look(self, now: float) -> set[str]:
+        """Take note of a run's time in s, show the pace, and return the buttons pressed so far."""
+        pressed = self._console.controls.pressed()
+        self.paused ^= "pause" in pressed
+        self.late = self._real_time.is_late(now)
+        if self.paused:
+            self._real_time.start(now)
+        factor = self._real_time.factor
+        self.pace = "" if factor is None else f"{speed_text(factor)} × real time"
+        self._console.say(paused=self.paused, pace=self.pace)
+        return pressed
 
     def wait(self, now: float) -> bool:
         """Wait while the run is paused, or ahead of its speed; ``now`` is its time in s.
@@ -40,33 +59,25 @@ class Pacer:
         Returns True if time has been lost on purpose, or the speed has changed; KeyboardInterrupt
         is the console's wish to end, as Ctrl-C is.
         """
-        controls, held = self._console.controls, False
-        self._real_time.is_late(now)
+        held = False
         while True:
-            pressed = controls.pressed()
+            pressed = self.look(now)
             if "stop" in pressed:
                 raise KeyboardInterrupt
-            if "pause" in pressed:
-                self._paused = not self._paused
             if "step" in pressed:
-                self._paused = True
+                self.paused = True
                 if held:
                     break
-            if not self._paused:
+            if not self.paused:
                 break
             held = True
-            self._console.say(paused=True, pace="")
             time.sleep(_LOOK)
-        if held or controls.speed != self._speed:
-            self._speed, held, self._origin = controls.speed, True, None
+        if held or self._console.controls.speed != self.speed:
+            self.speed, held, self._origin = self._console.controls.speed, True, None
             self._real_time.start(now)
-        if not self._paused:
-            factor = self._real_time.factor
-            pace = "" if factor is None else f"{factor:.1f} × real time"
-            self._console.say(paused=False, pace=pace)
-        if self._keeps_speed and self._speed > 0 and not self._paused:
+        if self._keeps_speed and self.speed > 0 and not self.paused:
             start, begun = self._origin = self._origin or (now, time.perf_counter())
-            time.sleep(max(0.0, (now - start) / self._speed - (time.perf_counter() - begun)))
+            time.sleep(max(0.0, (now - start) / self.speed - (time.perf_counter() - begun)))
         return held
 
 

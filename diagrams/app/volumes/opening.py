@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform
 
-from sonoservo.diagrams.app.options import Reading, ReadingFrames
+from sonoservo.diagrams.app.options import Reading, ReadingFrames, refusing_values
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.volume_file import VolumeFile
 from sonoservo.systems.live.connection.address import Address
@@ -55,10 +55,8 @@ class ReconstructedRecording:
     ) -> None:
         self.path = path
         self._spacing = spacing
-        try:
+        with refusing_values(path):
             self._scale = grey_scale(dynamic_range_db)
-        except ValueError as error:
-            raise ConfigurationError(f"{path}: {error}") from error
         self._frames = TrackedFrames(
             path, poses=poses, window=window, frame_rate=frame_rate, **reading
         )
@@ -105,10 +103,8 @@ class ReconstructedRecording:
 
     def _split(self, count: int | None) -> list[list[int]]:
         """Return the numbers of each sweep's frames."""
-        try:
+        with refusing_values(self.path):
             splitter = SweepSplitter(frames=count, max_frames=len(self._frames))
-        except ValueError as error:
-            raise ConfigurationError(f"{self.path}: {error}") from error
         # The splitter needs only the number of pixels, not their values.
         pixels = self._frames[0]
         numbers = {time: k for k, time in enumerate(self._frames.times)}
@@ -136,12 +132,10 @@ class ReconstructedRecording:
         ]
 
     def _reconstruct(self, number: int) -> ReconstructedVolume:
-        try:
+        with refusing_values(self.path):
             return reconstruct(
                 self.sweep(number), spacing=self._spacing, decibels_per_level=self._scale
             )
-        except ValueError as error:
-            raise ConfigurationError(f"{self.path}: {error}") from error
 
 
 Opened: TypeAlias = Recording | ReconstructedRecording
@@ -202,7 +196,7 @@ def live_source(
 
 def live_maker(reading: ReadingFrames) -> ImagesToVolumes:
     """Return the converter of received images to volumes; a motor's file has its own range."""
-    try:
+    with refusing_values():
         if reading.motor is not None:
             return MotorSweepVolumes(load_motor_sweep(reading.motor), window=reading.window)
         grey: dict[str, Any] = {
@@ -212,5 +206,3 @@ def live_maker(reading: ReadingFrames) -> ImagesToVolumes:
         if reading.reconstruct:
             return FramesToVolumes(frames=reading.frames, spacing=reading.spacing, **grey)
         return VolumeMaker(depth=reading.depth, **grey)
-    except ValueError as error:
-        raise ConfigurationError(str(error)) from error

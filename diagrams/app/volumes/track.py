@@ -1,7 +1,7 @@
 """Tracking in recorded volumes: results that print and draw themselves, and their files."""
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -11,6 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from pydrake.math import RigidTransform
 
+from sonoservo.diagrams.app.options import refusing_values
 from sonoservo.diagrams.app.pages.pacer import Pacer
 from sonoservo.diagrams.app.run_result import RunResult, table_text
 from sonoservo.diagrams.app.terminal import mode_table
@@ -96,11 +97,24 @@ def tracker_parameters(
         raise ConfigurationError(f"unknown tracker {tracker!r}; {suggest(tracker, trackers)}")
     if start not in STARTS:
         raise ConfigurationError(f"start: {start!r}; {suggest(start, STARTS)}")
-    try:
+    with refusing_values():
         own = trackers[tracker](order=order)
         return own.knowing(start=start, beam_width=beam_width, echo_offset=echo_offset)
-    except ValueError as error:
-        raise ConfigurationError(str(error)) from error
+
+
+def make_bench(
+    settings: Mapping[str, Any],
+    parameters: TrackerParameters | None,
+    seed: int | None,
+    correct_poses: bool,
+    **options: Any,
+) -> TrackerBench:
+    """Return the bench of a tracker; its seed is by default the recorder's, or else 0."""
+    seed = int(settings.get("tracker_seed", 0)) if seed is None else seed
+    tracker = MakeNeedleTracker(
+        parameters=parameters, period=1.0, seed=seed, correct_poses=correct_poses
+    )
+    return TrackerBench(tracker, **options)
 
 
 def track_recording(
@@ -155,7 +169,6 @@ def track_recording(
     """
     if explain and out is None:
         raise ConfigurationError("explain: there is no folder to keep explanations in; give out")
-    seed = int(recording.settings.get("tracker_seed", 0)) if seed is None else seed
     truth_path = side_path(recording.path, TRUTH)
     truth = read_truth(truth_path) if truth_path.is_file() else None
     motion = recording[0].motion
@@ -184,10 +197,11 @@ def track_recording(
     with claim_folder(out):
         if out is not None:
             clear_explanations(out)
-        bench = TrackerBench(
-            MakeNeedleTracker(
-                parameters=parameters, period=1.0, seed=seed, correct_poses=correct_poses
-            ),
+        bench = make_bench(
+            recording.settings,
+            parameters,
+            seed,
+            correct_poses,
             geometry=motion.geometry if motion else None,
             explain=out if explain else None,
         )

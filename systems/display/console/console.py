@@ -221,9 +221,9 @@ class _View:
         self._beside: Frame | None = None
         self._described: dict[str, Any] = {}
         self._state_sent: dict[str, Any] = {}
-        link = self._page.link
-        link.on_change("order", lambda: self._obey(link.heard("order") or {}))
-        link.on_change("drawn", self.wake)
+        page = self._page
+        page.on_change("order", lambda: self._obey(page.heard("order") or {}))
+        page.on_change("drawn", self.wake)
         document.on_session_destroyed(lambda context: console.controls.deflect(self, None))
         self._push()
 
@@ -242,7 +242,7 @@ class _View:
     def _go_on(self) -> None:
         self._waits = False
         silent = clock.monotonic() - self._sent_at
-        drawn = self._page.link.heard("drawn")
+        drawn = self._page.heard("drawn")
         if (drawn is None or drawn < self._sent) and silent < _PATIENCE:
             return  # it says when it is ready
         if drawn is None or drawn < 0:  # it may have opened late, and missed what it was sent
@@ -270,7 +270,7 @@ class _View:
         described = dict(console.controls.description())
         if described != self._described:
             self._described = described
-            page.link.send("described", described)
+            page.send("described", described)
         state = self._state(frame)
         changes = strips.end != self._strips_end
         if state == self._state_sent and frame is self._frame and not changes:

@@ -137,9 +137,7 @@ class Controls:
 
     def restart(self) -> None:
         """Return all sliders to their initial values."""
-        with self._lock:
-            self._values = {name: each.start for name, each in self._controls.items()}
-        self._changed()
+        self.offer(self._controls.values())
 
     @property
     def shown(self) -> tuple[list[Control], dict[str, float], tuple[str, ...]]:

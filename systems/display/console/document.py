@@ -56,17 +56,44 @@ CHARTS = {"chart_x": "x", "chart_y": "y"}
 _SCRIPTS = ("console.js", "controls.js", "views.js")  # Scripts of the page, which share one scope
 
 
-class Link:
-    """Values that a page and the console set for each other.
+class PageDocument:
+    """Models of one page of the console, in a Bokeh document.
 
-    Each is the tag of a model that draws nothing; all that changes at a time goes as one message,
-    because Bokeh spends a millisecond on each.
+    The values that a page and the console set for each other are the tags of `models` that draw
+    nothing; all that changes at a time goes as one message, because Bokeh spends a millisecond on
+    each.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, document: Document, title: str) -> None:
+        self.document = document
         self.models = {name: ColumnDataSource() for name in ("state", "described")} | {
             name: ColumnDataSource(tags=[value]) for name, value in _HEARD.items()
         }
+        self._strips = _source(*STRIPS, "colour", "begin")
+        self._time: float | None = None
+        grey = LinearColorMapper(palette=Greys256, low=0, high=255, name="grey")
+        roots = (
+            {f"slice_{number}": _slice_figure(grey) for number in range(2)}
+            | self._strip_figures()
+            | _chart_figures()
+        )
+        # They belong to the document, and follow its changes, only if one of its roots names them.
+        roots["mode"].tags = list(self.models.values())
+        with document.models.freeze():
+            for name, root in roots.items():
+                root.name = name
+                document.add_root(root)
+        for model in document.models:
+            model.syncable = model in self.models.values()
+        document.title = title
+        document.template = page_template()
+        document.config.reconnect_session = False
+        document.config.notify_connection_status = False
+        start = CustomJS(
+            args={"link": self.models, "grey": grey, "figures": roots},
+            code="window.sonoservo.start(link, grey, figures)",
+        )
+        document.js_on_event("document_ready", start)
 
     def heard(self, name: str) -> Any:
         """Return a value from the page; None if it has sent nothing of the kind."""
@@ -80,39 +107,6 @@ class Link:
     def on_change(self, name: str, callback: Callable[[], None]) -> None:
         """Call a function whenever the page has set a value."""
         self.models[name].on_change("tags", lambda attribute, old, new: callback())
-
-
-class PageDocument:
-    """Models of one page of the console, in a Bokeh document."""
-
-    def __init__(self, document: Document, title: str) -> None:
-        self.document = document
-        self.link = Link()
-        self._strips = _source(*STRIPS, "colour", "begin")
-        self._time: float | None = None
-        grey = LinearColorMapper(palette=Greys256, low=0, high=255, name="grey")
-        roots = (
-            {f"slice_{number}": _slice_figure(grey) for number in range(2)}
-            | self._strip_figures()
-            | _chart_figures()
-        )
-        # They belong to the document, and follow its changes, only if one of its roots names them.
-        roots["mode"].tags = list(self.link.models.values())
-        with document.models.freeze():
-            for name, root in roots.items():
-                root.name = name
-                document.add_root(root)
-        for model in document.models:
-            model.syncable = model in self.link.models.values()
-        document.title = title
-        document.template = page_template()
-        document.config.reconnect_session = False
-        document.config.notify_connection_status = False
-        start = CustomJS(
-            args={"link": self.link.models, "grey": grey, "figures": roots},
-            code="window.sonoservo.start(link, grey, figures)",
-        )
-        document.js_on_event("document_ready", start)
 
     def show(
         self,
@@ -129,7 +123,7 @@ class PageDocument:
             message["frame"], images = _describe_frame(frame)
         if strips is not None:
             message["strips"] = {"columns": self._columns(strips, anew), "anew": anew, "keep": keep}
-        self.link.send("state", message, *images)
+        self.send("state", message, *images)
 
     def _columns(self, samples: Mapping[str, list[Any]], anew: bool) -> dict[str, list[Any]]:
         columns: dict[str, list[Any]] = {

@@ -106,8 +106,8 @@ def facts_text(summary: Mapping[str, Any]) -> str:
         facts.append(f"sonoservo {summary['version']}")
     if (wall := summary.get("wall_s")) is not None:
         if (simulated := summary.get("simulated_s")) is not None:
-            speed = summary["real_time_factor"]
-            facts.append(f"{simulated:.1f} s simulated in {wall:.1f} s ({speed:.1f} x real time)")
+            speed = speed_text(summary["real_time_factor"])
+            facts.append(f"{simulated:.1f} s simulated in {wall:.1f} s ({speed} x real time)")
         else:
             facts.append(f"computed in {wall:.1f} s")
     if (compiled := summary.get("compile_s", 0.0)) > 0.1:
@@ -115,6 +115,11 @@ def facts_text(summary: Mapping[str, Any]) -> str:
     if summary.get("interrupted"):
         facts.append("interrupted")
     return " · ".join(facts)
+
+
+def speed_text(factor: float) -> str:
+    """Return a multiple of real time with one decimal, or with one digit that is not 0."""
+    return f"{factor:.1f}" if factor >= 0.05 else f"{factor:.1g}"
 
 
 def _verdict_text(verdict: Verdict | None) -> str:

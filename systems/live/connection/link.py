@@ -170,9 +170,7 @@ class Link:
         data = b"".join(map(encode, items))
         with self._lock:
             for peer in self._peers:
-                before = peer.outbox.dropped.total()
-                peer.outbox.put(data, topic or items[0].name, keep)
-                self.dropped += peer.outbox.dropped.total() - before
+                self.dropped += peer.outbox.put(data, topic or items[0].name, keep)
             if not self._ending.is_set():
                 self._loop.call_soon_threadsafe(self._write_all)
 
@@ -342,20 +340,21 @@ class Outbox:
         self._waiting: deque[tuple[str, bytes]] = deque()
         self._counts: Counter[str] = Counter()
         self._under_way = memoryview(b"")
-        self.dropped: Counter[str] = Counter()
 
     def __bool__(self) -> bool:
         return bool(self._under_way) or bool(self._waiting)
 
-    def put(self, data: bytes, topic: str, keep: int | None = None) -> None:
-        """Add a message of a topic, of which at most ``keep`` wait."""
+    def put(self, data: bytes, topic: str, keep: int | None = None) -> int:
+        """Add a message of a topic, of which at most ``keep`` wait; return how many give way."""
+        dropped = 0
         self._waiting.append((topic, data))
         self._counts[topic] += 1
         while self._counts[topic] > (self._keep if keep is None else keep):
             oldest = next(k for k, (each, _) in enumerate(self._waiting) if each == topic)
             del self._waiting[oldest]
             self._counts[topic] -= 1
-            self.dropped[topic] += 1
+            dropped += 1
+        return dropped
 
     def next(self) -> memoryview:
         """Return what is to be sent now; empty if there is nothing."""

@@ -1,3 +1,4 @@
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -7,7 +8,7 @@ from rich.console import Console
 
 from sonoservo.diagrams.app.options import with_common_options
 from sonoservo.diagrams.app.run_result import RunResult, summary_table
-from sonoservo.diagrams.app.terminal import Progress, end_run
+from sonoservo.diagrams.app.terminal import end_run, run_progress, volume_progress
 from sonoservo.diagrams.experiments.registry import load_scenario
 from sonoservo.systems.evaluation.compile_free_clock import COMPILATION
 from sonoservo.systems.evaluation.reports.verdict import following_verdict
@@ -58,14 +59,20 @@ def test_a_name_that_no_file_could_hold_is_refused_before_the_work():
 @pytest.mark.parametrize("kernels", [0, 2])
 def test_compilation_is_spoken_of_once_if_there_is_any(kernels):
     console = Console(record=True, force_terminal=False)
-    with Progress(console, load_scenario("clinic")):
+    with run_progress(console, load_scenario("clinic")):
         for _ in range(kernels):
             start_event(COMPILATION)
             end_event(COMPILATION)
-    said = console.export_text().splitlines()
-    assert (
-        said
-        == ["Simulating clinic, 32 s ...", "Compiling kernels, once on this machine ..."][
-            : 1 + min(kernels, 1)
-        ]
-    )
+    said = ["Simulating clinic, 32 s ...", "Compiling kernels, once on this machine ..."]
+    assert console.export_text().splitlines() == said[: 1 + bool(kernels)]
+
+
+@pytest.mark.parametrize("done", [0, 3])
+def test_an_error_leaves_no_empty_bar(done):
+    console = Console(record=True, force_terminal=True, width=100)
+    with suppress(ValueError), volume_progress(console, "Tracking", "a.mha", 4) as progress:
+        if done:
+            progress.show(done, "lost")
+        raise ValueError
+    assert ("volume 3 of 4  lost" in console.export_text()) == bool(done)
+    assert "starting" not in console.export_text()

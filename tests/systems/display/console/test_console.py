@@ -55,7 +55,7 @@ class Page:
         (holder,) = (root for root in self._session.document.roots if root.name == "mode")
         _, _, self._order, self._drawn = holder.tags
         self.strips, self.pictures = {}, []
-        self._view._page.link.on_change("state", self._receive)
+        self._view._page.on_change("state", self._receive)
         self._receive()
         if draws:
             self.has_drawn(10**6)  # whatever comes
@@ -67,7 +67,7 @@ class Page:
         self._session.close()
 
     def _said(self, name):
-        return self._view._page.link.models[name].tags
+        return self._view._page.models[name].tags
 
     def _receive(self):
         """Keep strips and images as the page's script does."""

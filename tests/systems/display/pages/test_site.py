@@ -57,17 +57,7 @@ def test_without_the_token_a_page_says_where_its_address_stands(site):
         assert site.access.token not in text + str(headers)
 
 
-HOSTILE = {
-    "another name, as after DNS rebinding": {"Host": "evil.example:7000"},
-    "no name": {"Host": None},
-    "another site's page": {"Origin": "http://evil.example"},
-    "a page in a box": {"Origin": "null"},
-    "a page of another server on this machine": {"Origin": "http://localhost:9999"},
-    "no page at all": {"Origin": None},
-}
-
-
-@pytest.mark.parametrize("headers", HOSTILE.values(), ids=HOSTILE)
+@pytest.mark.parametrize("headers", [{"Host": "evil.example:7000"}, {"Origin": "null"}], ids=str)
 def test_hostile_pages_are_refused_even_with_the_token(site, headers):
     url = site.address("page")
     cookie = f"sonoservo_{site.port}={site.access.token}"
