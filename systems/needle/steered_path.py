@@ -7,8 +7,8 @@ bevel turned by the angle rho, and the curvature kappa = 1 / R,
     d' = kappa (cos(rho) u + sin(rho) v),  u' = -kappa cos(rho) d,  v' = -kappa sin(rho) d.
 
 The path is a chain of arcs with constant kappa and rho. If the bevel is turned by 180 deg, kappa
-changes its sign. `BicyclePath` is this case in closed form. A needle that is withdrawn goes back
-along its path. Pushed in again, it cuts a new path from there.
+changes its sign; `bicycle_paths.deflections` is this case in closed form. A needle that is
+withdrawn goes back along its path. Pushed in again, it cuts a new path from there.
 """
 
 from dataclasses import dataclass, field
