@@ -32,9 +32,10 @@ _IMPOSSIBLE = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class ParticleBelief(Immutable):
-    """(n, 5) particles: R in m, theta_0 and phi in rad, ln alpha, ln beta; see `ShapePosterior`."""
+    """Particles, the measurements that they have seen, and what was learned; see `ShapePosterior`."""
 
     particles: Floats
+    """(n, 5) R in m, theta_0 and phi in rad, ln alpha and ln beta."""
     log_weights: Floats
     """(n,) log weights of the particles, up to a constant."""
     sums: Floats
