@@ -32,7 +32,7 @@ _IMPOSSIBLE = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class ParticleBelief(Immutable):
-    """Particles, the measurements that they have seen, and what was learned; see `ShapePosterior`."""
+    """Particles, the measurements so far, and what was learned of them; see `ShapePosterior`."""
 
     particles: Floats
     """(n, 5) R in m, theta_0 and phi in rad, ln alpha and ln beta."""
