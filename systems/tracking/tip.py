@@ -40,7 +40,7 @@ there. This length, `_NOTHING` and `_SPREAD` are fitted by ``python -m tip_study
 (tests/tools)."""
 
 _MIRROR = 16.0, 24.0
-"""Contrasts in dB up to which an end is rough, and above which it mirrors sound."""
+"""Contrast in dB up to which an end is rough, and from which on it mirrors sound."""
 
 _MIRRORED, _MIRROR_ANGLE = 30.0, math.radians(10)
 """How much brighter a smooth needle is that mirrors sound back, in dB, and the angle from there in
@@ -182,10 +182,12 @@ def most_evident_stretch(
 
 
 def find_extent(profile: AxisProfile, parameters: TipParameters) -> NeedleExtent | NotFound:
-    """Find the ends of a needle along its axis (Chatelain 2013, end of section II-D)."""
-    # It begins where the `most_evident_stretch` does. Its tip is a change point: the contrast
-    # follows the needle's level so far, which may fade, up to a blurred end with nothing beyond.
-    # Where the needle has faded before, the contrast does not tell where it ends.
+    """Find the ends of a needle along its axis (Chatelain 2013, end of section II-D).
+
+    It begins where the `most_evident_stretch` does. Its tip is a change point: the contrast follows
+    the needle's level so far, which may fade, up to a blurred end with nothing beyond. Where the
+    needle has faded before, the contrast does not tell where it ends.
+    """
     step = float(profile.a[1] - profile.a[0])
     samples = max(1, round(parameters.smoothing / step))
     level = uniform_filter1d(profile.level, samples, mode="nearest")
