@@ -42,7 +42,7 @@ WITHDRAWALS, OTHERS_WITHDRAWALS = (50, 1), (10, 1)
 HOUR, PART = 3600.0, 300.0  # time without a needle in all, and in one run, in s
 
 OTHERS_PARTS = 2
-"""Number of these runs in which the other trackers look on; they take as long as all else."""
+"""Number of these runs in which the other trackers run, too; they take as long as all else."""
 
 _QUICK_PART = 10.0  # time of a quick run without a needle, in s
 

@@ -114,7 +114,7 @@ def _run_closed_loop(scenario: FollowingScenario) -> tuple[RunLog, list[Volume]]
 
 
 def _run_search(scenario: FollowingScenario, trackers: Sequence[str]) -> dict[str, RunLog]:
-    """Return the logs of a run in which our tracker moves the probe, and others look on."""
+    """Return the logs of a run in which our tracker moves the probe, with others beside it."""
     geometry = make_scene(scenario).geometry
     observers = {kind: make_bench(scenario, geometry, kind) for kind in trackers if kind != OURS}
     experiment = FollowingExperiment(
