@@ -40,7 +40,7 @@ there. This length, `_NOTHING` and `_SPREAD` are fitted by ``python -m tip_study
 (tests/tools)."""
 
 _MIRROR = 16.0, 24.0
-"""Contrast in dB up to which an end is rough, and from which on it mirrors sound."""
+"""Contrasts in dB up to which an end is rough, and above which it mirrors sound."""
 
 _MIRRORED, _MIRROR_ANGLE = 30.0, math.radians(10)
 """How much brighter a smooth needle is that mirrors sound back, in dB, and the angle from there in
@@ -182,12 +182,10 @@ def most_evident_stretch(
 
 
 def find_extent(profile: AxisProfile, parameters: TipParameters) -> NeedleExtent | NotFound:
-    """Find the ends of a needle along its axis (Chatelain 2013, end of section II-D).
-
-    It begins where the `most_evident_stretch` does. Its tip is a change point: the contrast follows
-    the needle's level so far, which may fade, up to a blurred end with nothing beyond. Where the
-    needle has faded before, the contrast does not tell where it ends.
-    """
+    """Find the ends of a needle along its axis (Chatelain 2013, end of section II-D)."""
+    # It begins where the `most_evident_stretch` does. Its tip is a change point: the contrast
+    # follows the needle's level so far, which may fade, up to a blurred end with nothing beyond.
+    # Where the needle has faded before, the contrast does not tell where it ends.
     step = float(profile.a[1] - profile.a[0])
     samples = max(1, round(parameters.smoothing / step))
     level = uniform_filter1d(profile.level, samples, mode="nearest")
@@ -277,17 +275,19 @@ def _end_logs(  # pragma: no cover - compiled
             needle[b + 1] += share[b] * _mixture(contrast[b], level, std, _RARE_SPREAD * std)
             nothing[b + 1] += share[b] * _mixture(contrast[b], 0.0, _NOTHING, _RARE_STD)
     for t in range(first + 2 * gap, m):
-        top, count = 0.0, 0
+        count = 0
         for e in range(max(t - 4 * gap, first), max(t - gap, first + 1)):
-            top += contrast[e]
+            tops[t] += contrast[e]
             count += 1
-        top /= count
-        tops[t] = top
+        tops[t] /= count
+        # A bevel tapers, so what ends is the level within a beam's width of the end.
+        top, begin = 0.0, max(t - int(FWHM_PER_SIGMA * sigma[t] / step), first)
+        for e in range(begin, t):
+            top += contrast[e] / (t - begin)
         mirror = _mirror_share(top)
         begin, end = t - int(sigma[t] / step), min(t + int(3 * sigma[t] / step), m - 1)
         begin = max(begin, first)
         log = needle[begin] + nothing[m] - nothing[end + 1]
-        std = _NOTHING + 0.12 * max(top, 0.0)
         for b in range(begin, end + 1):
             if seen[b]:
                 # Of points in phase the amplitudes add up, of others the intensities.
@@ -296,7 +296,7 @@ def _end_logs(  # pragma: no cover - compiled
                 intensity = 0.5 * math.log(max(0.5 * math.erfc(x), 1e-9))
                 drop = mirror * amplitude + (1 - mirror) * intensity
                 left = 10 * math.log10(1 + 10 ** (top / 10) * math.exp(2 * drop))
-                log += share[b] * _mixture(contrast[b], left, std, _RARE_SPREAD * std)
+                log += share[b] * _mixture(contrast[b], left, _NOTHING, _RARE_STD)
         logs[t] = log
     return logs, needle[m], tops
 
