@@ -11,7 +11,6 @@ import numpy as np
 from matplotlib.figure import Figure
 from pydrake.math import RigidTransform
 
-from sonoservo.diagrams.app.kept_runs.kept_run import refusing
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
 from sonoservo.diagrams.experiments.following_scene import make_insertion
 from sonoservo.diagrams.experiments.registry import load_scenario
@@ -19,6 +18,7 @@ from sonoservo.diagrams.scenario import Scenario, require_scenario
 from sonoservo.diagrams.scene import Scene
 from sonoservo.systems.evaluation.reports.plots import png
 from sonoservo.systems.evaluation.reports.scan_sheet import scan_sheet
+from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.writing import write_atomically
 from sonoservo.systems.recording.nrrd import write_volume
 from sonoservo.systems.signals.needle import Needle
@@ -85,8 +85,10 @@ def scan(
     """
     loaded = load_scenario(scenario, changes=changes, seed=seed)
     following = require_scenario(loaded, FollowingScenario)
-    with refusing(following):
+    try:
         return _scan(following, time, X_TP, velocity)
+    except (ValueError, FileNotFoundError) as error:
+        raise ConfigurationError(f"{following.name}: {error}") from error
 
 
 def _scan(

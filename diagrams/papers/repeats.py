@@ -9,6 +9,7 @@ from typing import Any
 
 from sonoservo.diagrams.papers.registry import reproduce
 from sonoservo.diagrams.papers.results import kept_records
+from sonoservo.diagrams.studies.processes import Processes
 from sonoservo.diagrams.studies.store import Store
 from sonoservo.diagrams.studies.study import Case, Executor, Finished, Outcome, StudyOptions, Work
 from sonoservo.systems.files.refusals import ConfigurationError
@@ -47,7 +48,7 @@ class _Repeating:
         """Run the chosen cases; see `Executor`."""
         kept = {case: found for case in cases if (found := self._record(case)) is not None}
         chosen = cases
-        if any(each.case.experiment == case.experiment for each in self._kept for case in cases):
+        if {each.experiment for each in cases} & {each.case.experiment for each in self._kept}:
             # By a hash, so that they are spread over the experiments, and the same ones each time.
             number = math.ceil(self._number * len(kept) / len(self._kept))
             chosen = sorted(kept, key=lambda case: hashlib.sha256(case.key.encode()).digest())
@@ -65,11 +66,14 @@ class _Repeating:
             yield finished
 
     def _record(self, case: Case) -> Outcome | None:
-        for each in self._kept:
-            if (each.case.experiment, each.case.seed) == (case.experiment, case.seed):
-                same = next(_differences(asdict(case), asdict(each.case)), None) is None
-                return each if same else None
-        return None
+        """Return the record of a case, whose settings have the digits that records keep."""
+        alike = (
+            each
+            for each in self._kept
+            if (each.case.experiment, each.case.seed) == (case.experiment, case.seed)
+        )
+        mine = asdict(case)
+        return next((each for each in alike if not [*_differences(mine, asdict(each.case))]), None)
 
 
 def repeat_kept_runs(paper: str, number: int, options: StudyOptions) -> list[Repeat]:
@@ -81,8 +85,8 @@ def repeat_kept_runs(paper: str, number: int, options: StudyOptions) -> list[Rep
     records = kept_records(paper)
     if records is None:
         raise ConfigurationError(f"--repeat: no records of runs are kept of {paper}")
-    assert options.cluster is not None
-    repeating = _Repeating(options.cluster, records.outcomes, number)
+    executor = options.cluster or Processes(options.jobs)
+    repeating = _Repeating(executor, records.outcomes, number)
     reproduce(paper, replace(options, cluster=repeating))
     return repeating.repeats
 

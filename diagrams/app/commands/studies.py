@@ -225,15 +225,15 @@ def reproduce_command(
 def _repeat(papers: Iterable[str], number: int, workers: Workers, results: Results) -> None:
     """Make some kept runs of each paper again; exit status 1 if any gives other figures."""
     from sonoservo.diagrams.papers.repeats import repeat_kept_runs
-    from sonoservo.diagrams.studies.processes import Processes
     from sonoservo.diagrams.studies.study import StudyOptions
 
     made = {}
     for paper in papers:
         with opened(workers) as executor, TemporaryDirectory() as folder:
-            options = StudyOptions(
-                folder=Path(folder), cluster=executor or Processes(workers.jobs), console=console
-            )
+            with refusing_values():
+                options = StudyOptions(
+                    folder=Path(folder), jobs=workers.jobs, cluster=executor, console=console
+                )
             made[paper] = repeat_kept_runs(paper, number, options)
         differ = [each for each in made[paper] if each.difference]
         for each in differ:

@@ -60,6 +60,17 @@ def test_some_runs_of_all_experiments_are_made_again_and_times_do_not_count(repe
     assert not any(each.difference for each in found)
 
 
+def test_runs_of_one_experiment_and_seed_are_told_apart_by_their_settings(repeat, monkeypatch):
+    cases = [Case("plain", 0, {"learnt": learnt}) for learnt in (1.0, 2.0, 3.0)]
+    monkeypatch.setattr(
+        repeats, "reproduce", lambda paper, options: run_study(work, cases, options)
+    )
+    outcomes = [Outcome(case, {"tips": [0.0, None, case.settings["learnt"]]}) for case in cases]
+    found = repeat(Records("", "abc", "", outcomes), 3)
+    assert {each.name for each in found} == {case.name for case in cases}
+    assert not any(each.difference for each in found)
+
+
 def test_another_figure_is_named_with_both_values(repeat):
     changed = Case("steep", 3, {"learnt": 2.33333}).name
     found = repeat(kept(changed), 21)
