@@ -4,11 +4,11 @@ import os
 import shlex
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import closing, contextmanager, nullcontext
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 from pydrake.geometry import Meshcat
 
@@ -88,37 +88,30 @@ class KeptRun:
         with claim_folder(self.out):
             if begin is not None:
                 begin()
-            with bar or nullcontext(), self:
+            if self.out is not None:
+                for name in _RESULTS:  # of an earlier run
+                    (self.out / name).unlink(missing_ok=True)
+                write_atomically(self.out / "scenario.yaml", self.scenario.to_yaml())
+                clear_explanations(self.out)
+            if self._meshcat is not None:
+                self._meshcat.StartRecording(set_visualizations_while_recording=True)
+            self._saved = time.perf_counter()
+            with bar or nullcontext(), self._clock:
+                self.begin()
                 try:
-                    simulate()
+                    with closing(self._experiment):
+                        simulate()
+                except KeyboardInterrupt:
+                    self.interrupted = True
+                except OSError as error:
+                    self.unwritten.note(error)
                 finally:
-                    self._experiment.close()
+                    self._wall = self._clock() - self._started
+                    self._save()
             return self._finish()
 
-    def __enter__(self) -> Self:
-        if self.out is not None:
-            for name in _RESULTS:  # of an earlier run
-                (self.out / name).unlink(missing_ok=True)
-            write_atomically(self.out / "scenario.yaml", self.scenario.to_yaml())
-            clear_explanations(self.out)
-        if self._meshcat is not None:
-            self._meshcat.StartRecording(set_visualizations_while_recording=True)
-        self._saved = time.perf_counter()
-        self._clock.__enter__()
-        self.begin()
-        return self
-
-    def __exit__(self, kind: object, error: object, traceback: object) -> bool:
-        self._wall = self._clock() - self._started
-        self._clock.__exit__()
-        self.interrupted = kind is KeyboardInterrupt
-        self._save()
-        if isinstance(error, OSError):
-            self.unwritten.note(error)
-        return self.interrupted or isinstance(error, OSError)
-
     def begin(self) -> None:
-        """Start the clock, or restart it inside the context; it leaves out compilation."""
+        """Start the clock, or restart it during a run; it leaves out compilation."""
         self._started = self._clock()
 
     def go_on(self) -> None:
