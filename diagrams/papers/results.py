@@ -15,7 +15,6 @@ from dataclasses import fields
 from functools import cache
 from html import escape
 from importlib import import_module
-from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -173,10 +172,12 @@ def results_table(kept: Mapping[str, Any], rows: str) -> str:
     head = f"{source}: {met}.{changed}\n\n"
     if rows == "published":
         return head + _first_table(shown).markdown()
-    groups = groupby(shown, lambda row: row.experiment)
+    groups: dict[str, list[StudyRow]] = {}
+    for each in shown:
+        groups.setdefault(each.experiment, []).append(each)
     behind = kept.get("published_better")
     head += f"{behind}\n\n" if behind else ""
-    return head + "\n\n".join(_folded(name, list(each)) for name, each in groups)
+    return head + "\n\n".join(_folded(name, each) for name, each in groups.items())
 
 
 def _first_table(rows: Sequence[StudyRow]) -> Table:
