@@ -87,3 +87,13 @@ def test_only_the_sector_is_opaque(make_volume, geometry):
     p_P = plane.grid(*opaque.shape)
     np.testing.assert_array_equal(opaque == 255, geometry.contains(p_P))
     assert 0 < np.mean(opaque == 255) < 1
+
+
+def test_planes_without_a_needle_are_those_of_the_probe(make_volume):
+    volume = make_volume(zeros)
+    lateral, elevation = slice_planes(volume)
+    size = volume.upper - volume.origin
+    assert (lateral.width, lateral.height) == pytest.approx((size[0], size[1]))
+    assert (elevation.width, elevation.height) == pytest.approx((size[2], size[1]))
+    assert lateral.X_PS.translation()[2] == pytest.approx(0)
+    assert elevation.X_PS.translation()[0] == pytest.approx(0)

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -23,3 +25,9 @@ def test_elsewhere_they_follow_line_and_frame(k, j, i):
     ]
     depth = i * GEOMETRY.sample_pitch
     np.testing.assert_allclose(widths, [1e-3 + depth / 40, 5e-3, 0.4e-3], rtol=1e-3)
+
+
+@pytest.mark.parametrize(("field", "value"), [("depth", [0.08, 0.0]), ("axial", [0.0, 1e-3])])
+def test_bad_widths_are_refused(field, value):
+    with pytest.raises(ValueError, match=f"{field}: .* must be"):
+        replace(SPREAD, **{field: value})

@@ -64,3 +64,10 @@ def test_depths_of_no_interest_are_not_looked_at():
     assert depths[seen].min() == pytest.approx(0.01, abs=2e-4)
     assert depths[seen].max() == pytest.approx(0.02, abs=2e-4)
     assert seen.sum() == pytest.approx(0.01 / detected.geometry.sample_pitch, abs=2)
+
+
+def test_bad_input_is_refused():
+    with pytest.raises(ValueError, match="lines.shape"):
+        RadioFrequencySweep(np.zeros((2, 3, 4), np.float32), MOTION)
+    with pytest.raises(ValueError, match="step"):
+        detect_envelope(sweep_of(0.0), step=0, floor_db=-20.0)

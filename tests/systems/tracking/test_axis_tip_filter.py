@@ -133,7 +133,9 @@ def test_an_impossible_velocity_is_not_believed():
     np.testing.assert_array_equal(told.velocity, without.velocity)
 
 
-def test_a_bent_needle_is_refused():
+def test_a_bent_needle_and_a_gate_that_passes_all_are_refused():
     curve = NeedleCurve(np.outer([0, 0.01, 0.02], [1, 0, 0]))
     with pytest.raises(ValueError, match="straight"):
         FILTER.start(NeedleMeasurement(curve, np.eye(9), 0.0, 1, 1.0))
+    with pytest.raises(ValueError, match="velocity_gate"):
+        AxisTipFilter(velocity_gate=1.0)

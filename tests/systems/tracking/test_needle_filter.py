@@ -155,3 +155,11 @@ def test_no_frame_is_special(case, frame):
     np.testing.assert_allclose(moved.curve.control_points, plain.curve.control_points, atol=1e-10)
     np.testing.assert_allclose(moved.velocity, plain.velocity, atol=1e-10)
     np.testing.assert_allclose(moved.covariance, plain.covariance, atol=1e-12)
+
+
+def test_update_with_nothing_changes_nothing(case):
+    needle_filter, order = case
+    state = followed(needle_filter, order)
+    again = needle_filter.update(state, None, None)
+    np.testing.assert_array_equal(again.curve.control_points, state.curve.control_points)
+    np.testing.assert_array_equal(again.covariance, state.covariance)

@@ -171,3 +171,12 @@ def test_leaf_says_what_is_missing(current, previous, prediction, reason):
     found = velocity_of(current, previous, prediction)
     assert not found
     assert reason in found.reason
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("kernel", [11, 8, 9]), ("search", [9, 15, 15]), ("displacement_std", [0.1, 0.1, 0.0])],
+)
+def test_impossible_parameters_are_refused(field, value):
+    with pytest.raises(ValueError, match=field):
+        dataclasses.replace(PARAMETERS, **{field: value})
