@@ -291,20 +291,6 @@ def test_a_page_says_when_its_server_ends_and_goes_on_with_the_next(open_page, s
         page.close()
 
 
-@pytest.mark.slow
-def test_nothing_piles_up_in_a_page_and_a_slow_one_skips(open_page, console, shown):
-    page = open_page(console.web_url)
-    models = "Bokeh.documents[0]._all_models.size"
-    show(console, *shown[0], number=1)
-    eventually(page, lambda: check_needle(page, *shown[0]))
-    before = page.evaluate(models)
-    for number in range(40):
-        show(console, *shown[number % 2], number=number + 2)
-        page.wait_for_timeout(25)
-    eventually(page, lambda: check_needle(page, *shown[1]))
-    assert page.evaluate(models) == before
-
-
 def test_the_end_links_the_report_and_leaves_the_page_usable(open_page, console, shown):
     console.controls.offer_buttons("pause", "step", "stop", speed=1.0)
     page = open_page(console.web_url)

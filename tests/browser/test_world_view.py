@@ -13,7 +13,6 @@ from sonoservo.systems.display.pages.meshcat_page import open_meshcat
 from sonoservo.systems.display.pages.site import Files, Site
 from sonoservo.systems.display.world.world_view import WorldView
 from sonoservo.systems.evaluation.reports.report import save_replay
-from sonoservo.systems.signals.needle_estimate import TrackingMode
 from sonoservo.systems.signals.volume import Volume
 
 DURATION = 5.5
@@ -96,17 +95,6 @@ def is_green(colours):
 
 def is_violet(colours):
     return np.minimum(colours[..., 0], colours[..., 2]) - colours[..., 1] > 50
-
-
-@pytest.mark.slow
-def test_pages_that_come_and_go_change_nothing(run):
-    alone = Run()
-    assert run.times == alone.times
-    assert run.estimates[-1].mode == TrackingMode.TRACKING
-    for ours, theirs in zip(run.estimates, alone.estimates, strict=True):
-        assert ours.mode == theirs.mode
-        if ours:
-            np.testing.assert_array_equal(ours.curve.control_points, theirs.curve.control_points)
 
 
 def test_a_page_opened_late_shows_everything_and_each_layer_can_be_switched_off(run, open_page):

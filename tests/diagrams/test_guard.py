@@ -17,10 +17,7 @@ from fault_runs import (
 )
 
 from sonoservo.diagrams import load_scenario
-from sonoservo.diagrams.probe_controller import (
-    MakeProbeController,
-    ProbeControllerParameters,
-)
+from sonoservo.diagrams.probe_controller import MakeProbeController, ProbeControllerParameters
 from sonoservo.models import model_path
 from sonoservo.systems.control.guard_parameters import GuardParameters
 from sonoservo.systems.files.refusals import ConfigurationError

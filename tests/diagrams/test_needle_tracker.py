@@ -14,15 +14,11 @@ from sonoservo.diagrams.papers.chatelain2013.method.tracker import (
 )
 from sonoservo.diagrams.papers.zhao2012.method.tracker import Zhao2012AsPublishedParameters
 from sonoservo.diagrams.tracker_bench import track
-from sonoservo.diagrams.trackers import (
-    Chatelain2013TrackerParameters,
-    Zhao2012TrackerParameters,
-)
+from sonoservo.diagrams.trackers import Chatelain2013TrackerParameters, Zhao2012TrackerParameters
 from sonoservo.diagrams.trackers.registry import TRACKERS
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle_estimate import TrackingMode
-from sonoservo.systems.tracking.axis_tip_filter import AxisTipFilter
 
 PERIOD = 0.303
 SPEED = 8e-3
@@ -190,47 +186,6 @@ def test_every_tracker_has_one_face(parameters):
     # All that reaches an output at once is the explanation: the estimate is a state.
     assert [tracker.HasDirectFeedthrough(n) for n in range(4)] == [False, False, False, True]
     assert tracker.get_name() == "needle_tracker"
-
-
-@pytest.mark.parametrize("parameters", TRACKERS)
-def test_the_prediction_does_not_depend_on_what_it_serves(parameters):
-    """Localizer and track manager form a loop that is none: the diagram would not build."""
-    tracker = MakeNeedleTracker(parameters=parameters(), period=1.0)
-    manager = tracker.GetSubsystemByName("track_manager")
-    prediction = manager.GetOutputPort("prediction").get_index()
-    for port in ("detection", "measurement", "velocity", "explanation"):
-        assert not manager.HasDirectFeedthrough(manager.GetInputPort(port).get_index(), prediction)
-    assert manager.HasDirectFeedthrough(manager.GetInputPort("volume").get_index(), prediction)
-
-
-def test_explanation_tells_why_an_estimate_is_what_it_is(volumes):
-    tracker = MakeNeedleTracker(period=1.0)
-    context = tracker.CreateDefaultContext()
-    for volume in volumes[:23]:
-        tracker.GetInputPort("volume").FixValue(context, Value[object](volume))
-        tracker.ExecuteForcedEvents(context)
-        explained, measured = (
-            tracker.GetOutputPort(port).Eval(context) for port in ("explanation", "measurement")
-        )
-        assert explained.volume_time == volume.time
-        if not measured:
-            assert explained.measurement.reason == measured.reason
-            continue
-        # Computed anew, and yet the same: it is explained from the prediction that served.
-        np.testing.assert_array_equal(
-            explained.measurement.curve.control_points, measured.curve.control_points
-        )
-        assert any(each.measurement is explained.measurement for each in explained.attempts)
-        assert explained.innovation is None or explained.innovation < explained.gate
-    assert explained.innovation is not None
-
-
-def test_a_tracker_may_take_another_s_filter(volumes):
-    parameters = Chatelain2013TrackerParameters(filter=AxisTipFilter())
-    found = [e for e in track(volumes[:20], parameters=parameters) if e]
-    assert np.linalg.norm(found[-1].curve.tip - needle(found[-1].time)[1]) < 3e-3
-    with pytest.raises(ValueError, match="order: 3"):
-        Chatelain2013TrackerParameters(order=3, filter=AxisTipFilter())
 
 
 @pytest.mark.parametrize(

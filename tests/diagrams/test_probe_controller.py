@@ -56,9 +56,7 @@ class Loop:
         self.station = builder.AddSystem(MakeStation(parameters=station, probe=probe))
         self.controller = builder.AddSystem(
             MakeProbeController(
-                parameters=controller or ProbeControllerParameters(),
-                arm=station.arm,
-                probe=probe,
+                parameters=controller or ProbeControllerParameters(), arm=station.arm, probe=probe
             )
         )
         self.tracker = builder.AddSystem(tracker)

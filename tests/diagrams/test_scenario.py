@@ -2,7 +2,6 @@ import multiprocessing
 import pickle
 from concurrent.futures import ProcessPoolExecutor
 
-import numpy as np
 import pytest
 import yaml
 from pydrake.multibody.plant import MultibodyPlantConfig
@@ -15,9 +14,7 @@ from sonoservo.diagrams.papers.chatelain2013.method.tracker import (
 )
 from sonoservo.diagrams.papers.zhao2012.method.tracker import Zhao2012AsPublishedParameters
 from sonoservo.diagrams.station import StationParameters
-from sonoservo.diagrams.trackers import (
-    Zhao2012TrackerParameters,
-)
+from sonoservo.diagrams.trackers import Zhao2012TrackerParameters
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.tracking.axis_tip_filter import AxisTipFilter
 
@@ -161,18 +158,6 @@ def test_mistakes_are_one_clear_line(name, changes, message):
         load_scenario(name, changes=changes)
     assert message in str(error.value)
     assert "\n" not in str(error.value)
-
-
-def test_numbers_of_numpy_are_numbers():
-    changes = {
-        "duration": np.float64(2.0), "hand.rotations": [],
-        "station": {"phantom_position": np.array([0.5, 0.1, 0.2])},
-    }  # fmt: skip
-    scenario = load_scenario("chatelain2013_fig5", seed=np.int64(3), changes=changes)
-    assert scenario.seed == 3
-    assert type(scenario.seed) is int
-    assert scenario.duration == 2.0
-    assert scenario.station.phantom_position == [0.5, 0.1, 0.2]
 
 
 @pytest.mark.parametrize("name", ["clinic", "carriere2016_d80"])

@@ -93,15 +93,6 @@ def test_its_own_events_take_note_of_a_slice():
     assert predictor.GetOutputPort("shape").Eval(context)
 
 
-def test_it_asks_for_slices_alone():
-    predictor = MakeShapePredictor(period=1.0)
-    assert [predictor.get_input_port(i).get_name() for i in range(predictor.num_input_ports())] == [
-        "slice"
-    ]
-    names = {system.get_name() for system in predictor.GetSystems()}
-    assert names == {"cross_section_localizer", "cross_section_memory", "shape_estimator"}
-
-
 def test_on_request_it_waits_for_a_click():
     predictor = MakeShapePredictor(period=1.0, click=True)
     context = predictor.CreateDefaultContext()

@@ -127,12 +127,6 @@ def test_sensor_noise_is_the_seeds():
     assert np.abs(readings[0] - readings[2]).max() > 1e-4
 
 
-def test_a_command_left_unconnected_is_an_error():
-    station = MakeStation(parameters=StationParameters())
-    with pytest.raises(RuntimeError, match="command.*is not connected"):
-        Simulator(station).AdvanceTo(0.01)
-
-
 def test_whole_workspace_is_within_reach():
     parameters = StationParameters()
     poses = [

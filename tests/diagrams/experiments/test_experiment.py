@@ -11,7 +11,6 @@ from sonoservo.diagrams.experiments.registry import EXPERIMENTS, experiment_clas
 from sonoservo.diagrams.studies.datasets.dataset import make_dataset
 from sonoservo.systems.evaluation.log import columns
 from sonoservo.systems.files.refusals import ConfigurationError
-from sonoservo.systems.recording.recording import Recording
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
 
 SCENARIOS = {
@@ -35,11 +34,6 @@ def assert_equal_logs(first, second):
     for name in columns(type(first)):
         if not name.endswith("_s"):  # computing times
             np.testing.assert_array_equal(getattr(first, name), getattr(second, name), name)
-
-
-def test_before_the_start_the_log_is_empty(scenario):
-    log = make_experiment(scenario).log()
-    assert {len(getattr(log, name)) for name in columns(type(log))} == {0}
 
 
 def test_a_second_start_gives_the_same_run_again(scenario):
@@ -114,20 +108,6 @@ def test_a_tracker_that_spies_is_refused(spying, message):
     spy = Spy(**tracker_events(scenario), **spying)
     with pytest.raises(ConfigurationError, match=message):
         run(scenario, tracker=spy)
-
-
-def test_a_second_run_of_one_experiment_is_recorded_anew(tmp_path):
-    path = tmp_path / "a.seq.nrrd"
-    scenario = load_scenario("chatelain2013_fig5", changes=["duration=1.5"])
-    experiment = make_experiment(scenario, record=path)
-    experiment.run()
-    experiment.start()
-    experiment.advance(0.8)
-    first = [volume.time for volume in Recording(path)]
-    experiment.close()
-    second = [volume.time for volume in Recording(path)]
-    assert (len(first), len(second)) == (4, 2)  # the first stays until the second is closed
-    assert second == first[:2] == list(experiment.log().volume_time)
 
 
 def test_an_unknown_experiment_is_one_clear_line():

@@ -11,7 +11,6 @@ from pydrake.systems.framework import LeafSystem
 
 from sonoservo.diagrams import load_scenario, run, tracker_events
 from sonoservo.diagrams.app.scan import scan
-from sonoservo.diagrams.assembly import load_dome_radius
 from sonoservo.diagrams.experiments.following import FollowingExperiment
 from sonoservo.diagrams.experiments.following_scene import make_scene
 from sonoservo.systems.display.console.console import Console
@@ -146,10 +145,6 @@ def make_scenario(**changes):
     hand = replace(scenario.hand, start=0.0, entry=[-0.06, 0.0, -0.042], tremor=0.0)
     imaging = replace(scenario.imaging, sector=0.2, frames=5, depth=0.06)
     return replace(scenario, duration=4.0, station=station, hand=hand, imaging=imaging, **changes)
-
-
-def test_dome_of_the_default_probe_has_its_mean_curvature():
-    assert load_dome_radius("4dc7_3_40") == pytest.approx(33e-3, abs=0.1e-3)
 
 
 def test_truth_moves_with_the_tissue_in_log_recording_and_world(tmp_path):

@@ -4,9 +4,7 @@ import numpy as np
 import pytest
 
 from sonoservo.diagrams import load_scenario, make_experiment, run
-from sonoservo.diagrams.experiments.shape_prediction_scenario import (
-    ESTIMATORS,
-)
+from sonoservo.diagrams.experiments.shape_prediction_scenario import ESTIMATORS
 from sonoservo.diagrams.shape_predictor import estimate_shape, predict_from_slices
 from sonoservo.systems.evaluation.log import read_log
 from sonoservo.systems.evaluation.shape.shape_metrics import (

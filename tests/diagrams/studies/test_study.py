@@ -148,10 +148,7 @@ def test_code_counts_where_the_results_come_from_it(tmp_path, monkeypatch):
         assert digest_after("systems/live/acquisition.py", work) == first
         assert code_fingerprint(unknown) != whole
         seen = {first}
-        for path in (
-            "systems/evaluation/success.py",
-            "diagrams/scenarios/clinic.yaml",
-        ):
+        for path in ("systems/evaluation/success.py", "diagrams/scenarios/clinic.yaml"):
             seen.add(digest_after(path, work))
         assert len(seen) == 3
     finally:
@@ -196,24 +193,6 @@ def test_processes_compute_with_one_thread_and_one_that_dies_is_a_failure(tmp_pa
         [sys.executable, script], capture_output=True, text=True, timeout=120, check=True
     )
     assert done.stdout.strip() == "[0, 'its process died', 4]"
-
-
-def test_ctrl_c_is_blocked_in_processes_from_their_first_moment(tmp_path):
-    script = tmp_path / "script.py"
-    script.write_text(
-        "import signal, sys\n"
-        "from pathlib import Path\n"
-        "from sonoservo.diagrams.studies.runs import run_cases\n"
-        "from sonoservo.diagrams.studies.study import Case\n"
-        "def work(case):\n"
-        "    return {'blocked': signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, [])}\n"
-        "outcomes = run_cases(work, [Case('e', 0)], Path(sys.argv[1]), jobs=2)\n"
-        "print(outcomes[0].result)\n"
-    )
-    done = subprocess.run(
-        [sys.executable, script, tmp_path / "cases"], capture_output=True, text=True, timeout=120
-    )
-    assert done.stdout.strip() == "{'blocked': True}", done.stderr
 
 
 def test_interrupted_it_ends_and_keeps_what_is_done(tmp_path):

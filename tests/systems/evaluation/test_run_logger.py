@@ -4,11 +4,8 @@ from pydrake.common.value import Value
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.math import SpatialForce
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import DiagramBuilder, EventStatus, LeafSystem
+from pydrake.systems.framework import DiagramBuilder, LeafSystem
 
-from sonoservo.systems.evaluation.log import read_log, write_log
-from sonoservo.systems.evaluation.metrics import summarize
-from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.evaluation.run_logger import RunLogger, visible_length
 from sonoservo.systems.signals.guard_status import GuardState, GuardStatus
 from sonoservo.systems.signals.immutable import NotFound
@@ -177,24 +174,6 @@ def test_in_a_diagram_every_sample_and_volume_is_kept_once():
     simulator.Initialize()  # each run begins anew
     assert len(log_of(logger, simulator).time) == 1
     assert len(log_of(logger, simulator).volume_time) <= 1
-
-
-def test_an_interrupted_run_keeps_its_log(tmp_path):
-    logger = RunLogger()
-    simulator = simulate(logger)
-
-    def interrupt(context):
-        if context.get_time() > 1:
-            raise KeyboardInterrupt
-        return EventStatus.DidNothing()
-
-    simulator.set_monitor(interrupt)
-    with pytest.raises(KeyboardInterrupt):
-        simulator.AdvanceTo(5.0)
-    log = read_log(write_log(tmp_path / "log.npz", log_of(logger, simulator)), RunLog)
-    assert 0.9 < log.time[-1] <= 1.1
-    assert len(log.volume_time) == 4
-    assert summarize(log)["simulated_s"] == log.time[-1]
 
 
 def test_length_in_view_ends_where_the_sector_ends():

@@ -7,17 +7,14 @@ from scipy.spatial.transform import Rotation
 from sonoservo.systems.calibration.pose_errors import PoseErrors
 from sonoservo.systems.evaluation.source_checks import (
     Check,
-    Finding,
     Grade,
     check_delay,
     check_errors,
     check_matrices,
     check_motion,
-    check_spacing,
     check_times,
     check_volume,
     gravest,
-    rows_of_matrices,
     sweep_delay,
 )
 from sonoservo.systems.signals.immutable import NotFound
@@ -124,11 +121,6 @@ def test_poses_that_do_not_move_as_a_probe(change, text):
     assert text in found
 
 
-def test_spacing_of_one_millimetre_is_suspicious():
-    assert worst(check_spacing([1, 1, 1]))[0] is Check.SPACING
-    assert worst(check_spacing([1, 0.5, 1])) is None
-
-
 def test_speckle_tells_right_spacing_unit_and_direction():
     widths = [1.6e-3, 0.6e-3, 2.2e-3]
     spacing = np.array([6e-4, 3e-4, 7e-4])
@@ -158,18 +150,6 @@ def test_delay_counts_where_its_interval_leaves_zero(delay, std, needed):
     assert (found is not None) == needed
     low, high = 1e3 * (delay - 2 * std), 1e3 * (delay + 2 * std)
     assert f"95 %: {low:.0f} to {high:.0f}" in check_errors(errors)[0].text
-
-
-def test_gravest_is_the_first_of_the_worst():
-    fine, doubtful, wrong = (Finding(Check.KIND, grade, grade.name) for grade in Grade)
-    assert gravest([fine]) is None
-    assert gravest([fine, doubtful, wrong, wrong]) is wrong
-
-
-def test_texts_that_are_no_matrices_are_missing():
-    matrices = rows_of_matrices({0: "1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1", 1: "x", 9: "0"}, 3)
-    np.testing.assert_array_equal(matrices[0], np.eye(4))
-    assert np.isnan(matrices[1:]).all()
 
 
 SIZE, PITCH, LATTICE = (40, 50), 0.8e-3, 1e-3

@@ -4,11 +4,7 @@ import numpy as np
 import pytest
 
 from sonoservo.systems.files.refusals import ConfigurationError
-from sonoservo.systems.files.typed_yaml import (
-    apply_changes,
-    load_typed,
-    read_yaml,
-)
+from sonoservo.systems.files.typed_yaml import apply_changes, load_typed, read_yaml
 from sonoservo.systems.signals.requirements import require_positive
 
 

@@ -67,13 +67,6 @@ def test_poses_of_another_device_count_only_where_they_are_named():
     assert posed.X_WL.translation()[0] == 3.0
 
 
-def test_poses_none_leaves_them_out():
-    matcher = ImageMatcher(poses="none")
-    matcher.feed(pose(1.0, 3.0), 0.0)
-    (posed,) = matcher.feed(image(1.0), 0.0)
-    assert posed.X_WL.IsExactlyEqualTo(RigidTransform())
-
-
 def test_first_device_is_kept_and_a_named_one_preferred():
     matcher = ImageMatcher(poses="none")
     assert [p.image.name for k in range(3) for p in matcher.feed(image(k, "AB"[k % 2]), k)] == [

@@ -106,8 +106,3 @@ def test_another_scanner_begins_with_its_own_grid():
     maker(posed(image(VOXELS)))
     other = PosedImage(image(VOXELS[:-1]), RigidTransform(), None, 2.0, 0.0, ("other", "Image"))
     assert maker(other).intensities.size == VOXELS[:-1].size
-
-
-def test_depth_must_be_a_letter_of_the_body():
-    with pytest.raises(ValueError, match="depth"):
-        VolumeMaker(depth="Z")

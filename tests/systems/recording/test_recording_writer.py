@@ -258,18 +258,6 @@ def test_a_run_that_starts_anew_records_anew(tmp_path, volumes):
     assert {each.name for each in tmp_path.iterdir()} == {"a.seq.nrrd", "a.acquisition.jsonl"}
 
 
-def test_runs_that_take_turns_do_not_mix_their_volumes(tmp_path, volumes):
-    path = tmp_path / "a.seq.nrrd"
-    recorder = VolumeRecorder(path=path, period=0.1)
-    first = recording_of(recorder, volumes[:2])
-    recording_of(recorder, volumes[1:])
-    recorder.GetInputPort("volume").FixValue(first.get_mutable_context(), Value[object](volumes[2]))
-    with pytest.raises(RuntimeError, match="this recording is closed"):
-        first.AdvanceTo(1.0)
-    recorder.close()
-    assert [each.time for each in Recording(path)] == [each.time for each in volumes[1:]]
-
-
 def test_damaged_side_files_are_one_line(recorded):
     side = recorded.with_name("a.acquisition.jsonl")
     lines = side.read_text().splitlines()

@@ -59,34 +59,6 @@ def test_the_volumes_around_each_change_are_kept_with_the_truth_apart(kept):
     assert any(row["occasion"] == "searching to tracking" for row in explained.rows())
 
 
-def test_the_true_needle_lies_on_its_echo(kept):
-    out, _ = kept
-    explained = read_explained_run(out)
-    (volume,) = [each for each in explained.kept if each.occasion == "searching to tracking"]
-    beam = explained.sheet(volume).axes[0]
-    (truth,) = [each for each in beam.lines if each.get_label() == "true needle (truth)"]
-    picture = beam.images[0]
-    left, right, bottom, top = picture.get_extent()
-    x, y = np.array(truth.get_data())
-    rows, columns_ = picture.get_array().shape
-    j = ((x - left) / (right - left) * columns_).astype(int)
-    i = ((y - top) / (bottom - top) * rows).astype(int)
-    inside = (j >= 0) & (j < columns_)
-    grey = np.asarray(picture.get_array(), float)
-    on_it = np.array(
-        [grey[a - 2 : a + 3, b].max() for a, b in zip(i[inside], j[inside], strict=True)]
-    )
-    seen = on_it > 0
-    assert np.median(on_it[seen]) > np.median(grey[grey > 0]) + 40
-
-
-def test_what_an_earlier_run_kept_is_removed(tmp_path):
-    (tmp_path / FOLDER).mkdir()
-    (tmp_path / FOLDER / "0001.000s.npz").write_bytes(b"of an earlier run")
-    run("chatelain2013_fig4", changes=["duration=0.4"], out=tmp_path)
-    assert not (tmp_path / FOLDER).exists()
-
-
 def test_a_recording_is_explained_as_the_run_was(kept, tmp_path):
     out, _ = kept
     track_recording(Recording(out / "a.seq.nrrd"), out=tmp_path, explain=True)

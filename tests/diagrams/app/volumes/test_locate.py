@@ -4,7 +4,6 @@ import os
 import time
 from pathlib import Path
 
-import nibabel
 import nrrd
 import numpy as np
 import pytest
@@ -149,25 +148,6 @@ def test_arrays_without_content_have_no_needle(content, shape):
     found = locate(array.astype(np.uint8), [1e-3] * 3)
     assert not found
     assert found.reason
-
-
-def test_a_volume_of_a_file_with_four_axes(tmp_path, made):
-    array = made.volume.intensities.astype(np.uint8)
-    both = np.stack([0 * array, array], axis=-1)
-    steps, origin = 1e3 * made.volume.spacing, 1e3 * made.volume.origin
-    directions = np.column_stack([np.diag(steps), np.full(3, np.nan)])
-    affine = np.diag([*steps, 1.0])
-    affine[:3, 3] = origin
-    image = nibabel.Nifti1Image(both, np.diag([-1.0, -1.0, 1.0, 1.0]) @ affine)
-    nibabel.save(image, tmp_path / "b.nii.gz")
-    truth = 1e3 * made.volume.to_probe(made.needle.control_points)
-    for recording in (
-        write(tmp_path / "b.nrrd", both, directions, origin),
-        Recording(tmp_path / "b.nii.gz", volume_rate=1.0, poses="none"),
-    ):
-        found = locate_in_recording(recording, 1)
-        assert found["volume"] == 1
-        assert np.linalg.norm(found["tip_lps_mm"] - truth[1]) < 2
 
 
 def test_a_volume_that_is_not_there(tmp_path, made):

@@ -5,11 +5,7 @@ import numpy as np
 import pytest
 
 from sonoservo.diagrams.papers.carriere2016 import reproduction, runs
-from sonoservo.diagrams.papers.carriere2016.protocols import (
-    LESSONS,
-    PROTOCOLS,
-    Protocol,
-)
+from sonoservo.diagrams.papers.carriere2016.protocols import LESSONS, PROTOCOLS, Protocol
 from sonoservo.diagrams.papers.carriere2016.report import PAPER, set_rows, sweep_rows
 from sonoservo.diagrams.papers.carriere2016.reproduction import reproduce
 from sonoservo.diagrams.papers.carriere2016.runs import AS_PUBLISHED, TAUGHT, run_needle

@@ -35,30 +35,6 @@ def test_bent_needles_end_in_the_image_and_come_from_the_phantom(seed):
     assert bent_insertion(seed) == bent_insertion(seed) != bent_insertion(seed + 1)
 
 
-def test_as_many_runs_as_promised(tmp_path):
-    cases = study_cases(StudyOptions(folder=tmp_path))
-    seeds = {name: {c.seed for c in cases if c.experiment == name} for name in PROTOCOLS}
-    assert {name: len(seeds[name]) for name in ("fig4", "fig5", "fig6", "bent")} == {
-        "fig4": 30,
-        "fig5": 30,
-        "fig6": 50,
-        "bent": 20,
-    }
-    assert all(len(seeds[f"fig5, {name}"]) >= 10 for name in ABLATIONS)
-    for name, protocol in PROTOCOLS.items():
-        published = {c.seed for c in cases if c.experiment == name + AS_PUBLISHED}
-        assert bool(published) == protocol.compared
-        assert bool(seeds[name]) == protocol.ours
-        assert published == seeds[name] or not (protocol.compared and protocol.ours)
-    volumes = {"no needle, probe still": 0, "no needle, probe pressed": 0}
-    for case in cases:
-        if case.experiment in volumes:
-            scenario = load_case(case)
-            assert Insertion(scenario.hand, np.random.default_rng(0)).depth(1e3) == 0
-            volumes[case.experiment] += int(scenario.duration * scenario.imaging.volume_rate) - 1
-    assert all(number >= 1000 for number in volumes.values())
-
-
 BOTH = [name for name, each in PROTOCOLS.items() if each.ours and each.compared]
 
 

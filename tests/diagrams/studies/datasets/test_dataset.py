@@ -3,9 +3,6 @@
 import hashlib
 import io
 import json
-import os
-import subprocess
-import sys
 
 import h5py
 import numpy as np
@@ -131,31 +128,6 @@ def test_files_of_zea_hold_volumes_and_masks_and_repeat_bit_for_bit(tmp_path):
     with h5py.File(io.BytesIO(files["s/volumes.hdf5"])) as file:
         np.testing.assert_array_equal(file["data/image_sc/pixels"][1], grey)
         np.testing.assert_array_equal(file["data/segmentation/pixels"][0, ..., 0], grey > 200)
-
-
-@pytest.mark.slow
-def test_another_type_of_processor_makes_nearly_the_same_volumes(tmp_path):
-    """Compiled for any x86-64 processor, without its newer instructions; minutes of compilation."""
-    code = (
-        "import sys; from pathlib import Path; from sonoservo.diagrams import load_scenario; "
-        "from sonoservo.diagrams.studies.datasets.dataset import make_dataset; "
-        "scenario = load_scenario('chatelain2013_fig5', seed=100); "
-        "make_dataset(scenario, Path(sys.argv[1]), count=2, volumes=2, jobs=1, randomize=True)"
-    )
-    volumes, processors = [], set()
-    for name in ("", "generic"):
-        other = {"NUMBA_CPU_NAME": name, "NUMBA_CPU_FEATURES": "", "NUMBA_CACHE_DIR": str(tmp_path)}
-        out = tmp_path / f"made_{name}"
-        environment = {**os.environ, **(other if name else {})}
-        subprocess.run([sys.executable, "-c", code, out], env=environment, check=True)
-        manifest = json.loads((out / "manifest.json").read_text())
-        processors |= {each["processor"] for each in manifest["sequences"]}
-        paths = [out / each["name"] / "volumes.seq.nrrd" for each in manifest["sequences"]]
-        volumes.append([each.intensities for path in paths for each in Recording(path)])
-    assert len(processors) == 2
-    for one, other in zip(*volumes, strict=True):
-        seen = (one > 0) | (other > 0)
-        assert np.mean(np.abs(one[seen].astype(int) - other[seen]) <= 1) >= 0.999
 
 
 def test_a_damaged_manifest_is_left_alone(tmp_path):

@@ -143,23 +143,6 @@ def test_a_stronger_dial_is_stronger_in_the_phantom():
                 assert tissue.structures[0].beside_needle.distance == pytest.approx(1.5e-3)
 
 
-def test_cases_are_those_of_the_dials_and_an_hour_without_a_needle(tmp_path):
-    cases = reproduction.study_cases(StudyOptions(folder=tmp_path, first_seed=100))
-    assert len(set(cases)) == len(cases)
-    assert min(case.seed for case in cases) == 100
-    ours = {case.experiment for case in cases if OURS in case.settings["trackers"]}
-    strengths = sum(len(dial.strengths) for dial in GRADED.values())
-    assert sum(name.startswith("open loop") for name in ours) == strengths + 2
-    assert sum(name.startswith("closed loop") for name in ours) == len(GRADED) + 2
-    clinic = [case for case in cases if case.experiment == "clinic without a needle"]
-    with scenario_of(clinic[0].settings, clinic[0].seed) as scenario:
-        assert len(clinic) * scenario.duration == 3600
-        assert make_insertion(scenario).depth(1e3) == 0
-    quick = reproduction.study_cases(StudyOptions(folder=tmp_path, quick=True))
-    assert len(quick) < 25
-    assert {case.settings["loop"] for case in quick} == {"open", "closed", "search"}
-
-
 def test_a_withdrawal_ends_outside_after_the_phantom_has_moved():
     for seed in range(100, 103):
         changes = [*PLAIN, *reproduction.withdrawal(seed)]

@@ -2,8 +2,7 @@ import numpy as np
 import pytest
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform
-from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import DiagramBuilder, LeafSystem, PortDataType
+from pydrake.systems.framework import PortDataType
 
 from sonoservo.systems.display.console.console_feed import ConsoleFeed
 from sonoservo.systems.signals.guard_status import GuardState, GuardStatus
@@ -102,34 +101,3 @@ def test_a_searching_tracker_tells_of_its_lines(make_volume):
     assert sample.lines == {"needle": 1, "resting": 1}  # the third is but speckle
     publish(feed, volume=make_volume(zeros), estimate=SEARCHING, lines=NotFound("tracked"))
     assert np.isnan(shown.samples[1].probability)
-
-
-class Scanner(LeafSystem):
-    """A new volume every 0.25 s."""
-
-    def __init__(self, make_volume):
-        super().__init__()
-        self._make = make_volume
-        self.DeclareStateOutputPort(
-            "volume", self.DeclareAbstractState(Value[object](NotFound("none")))
-        )
-        self.DeclarePeriodicUnrestrictedUpdateEvent(0.25, 0.25, self._update)
-
-    def _update(self, context, state):
-        volume = self._make(zeros, time=context.get_time())
-        state.get_mutable_abstract_state(0).set_value(volume)
-
-
-def test_in_a_diagram_every_volume_of_each_run_is_shown(make_volume):
-    shown = Shown()
-    builder = DiagramBuilder()
-    source = builder.AddSystem(Scanner(make_volume))
-    leaf = builder.AddSystem(ConsoleFeed(console=shown, period=0.25, offset=0.26))
-    builder.Connect(source.GetOutputPort("volume"), leaf.GetInputPort("volume"))
-    simulator = Simulator(builder.Build())
-    simulator.AdvanceTo(1.3)
-    assert [volume.time for volume, *_ in shown] == [0.25, 0.5, 0.75, 1.0, 1.25]
-    simulator.reset_context(simulator.get_system().CreateDefaultContext())
-    simulator.AdvanceTo(0.6)
-    assert [number for _, _, number, _ in shown] == [1, 2, 3, 4, 5, 1, 2]
-    assert len(shown.samples) == 11 + 5  # eight a second

@@ -20,7 +20,6 @@ from page_clients.page_socket import (
     read_until_closed,
     send_frame,
 )
-from pydrake.math import RigidTransform
 
 from sonoservo.systems.display.pages import meshcat_page
 from sonoservo.systems.display.pages.meshcat_page import open_meshcat
@@ -106,15 +105,6 @@ def test_where_there_is_one_loop_address_only_the_port_is_hidden(monkeypatch):
         site._kept.clear()
         with closing(open_socket(url)) as page:  # it outlives its Meshcat, and says so
             assert read_until_closed(page) == []
-
-
-def test_a_page_is_told_everything(meshcat, page):
-    meshcat.SetTransform("box", RigidTransform([1, 2, 3]))
-    with connection(meshcat) as other:
-        messages = [umsgpack.unpackb(read_frame(other)[1]) for _ in range(4)]
-    assert {"/drake/box", "depth", "pause"} <= {
-        each.get("path", each.get("name")) for each in messages
-    }
 
 
 SAID = {

@@ -11,7 +11,6 @@ from explanations import (
     explained,
     look,
     predicted,
-    small_volume,
 )
 from pydrake.math import RigidTransform, RollPitchYaw
 from synthetic_logs import build_log
@@ -67,20 +66,6 @@ def test_all_that_was_looked_at_is_kept():
         assert abs(off) < 1e-4
         column, row = ((np.array([x, y]) / size + 0.5) * picture.shape[::-1]).astype(int)
         assert picture[row, column] > np.median(picture[picture > 0]) + 60
-
-
-def test_nothing_is_kept_of_what_was_not_looked_at():
-    nothing = NotFound("no needle has been detected")
-    after = estimate(0.5, SEARCHING)
-    kept = explain_volume(
-        small_volume(0.5), empty_look(0.5, nothing), before=None, after=after, occasion="x"
-    )
-    assert (kept.mode_before, kept.sliced, kept.motion) == ("", "none", None)
-    for name in ("predicted", "measured", "before", "after", "candidates", "profile", "region"):
-        assert len(getattr(kept, name)) == 0
-    assert np.isnan([kept.innovation, kept.gate, kept.tip, kept.contrast]).all()
-    assert kept.beam_slice.size
-    np.testing.assert_allclose(kept.to_probe(np.eye(3)), np.eye(3))
 
 
 def test_the_search_that_decided_is_the_one_that_found_the_needle_or_came_furthest():

@@ -115,16 +115,6 @@ def test_summary_sums_up_and_the_file_holds_the_rows(tmp_path):
 DEPTHS = np.array([0.07, 0.14])
 
 
-def test_a_straight_fit_s_bound_is_that_of_regression():
-    # Radius and wander known: a line through noisy points, extrapolated.
-    seen = np.linspace(0, 0.06, 61)
-    true = TrueBend(radius=1.5, angle=0.0, rotations=(), radius_std=1e-9, angle_std=10.0)
-    found = deflection_bound(true, seen, 0.1e-3, DEPTHS)
-    spread = np.sum((seen - seen.mean()) ** 2)
-    expected = 0.1e-3 * np.sqrt(1 / 61 + (DEPTHS - seen.mean()) ** 2 / spread)
-    np.testing.assert_allclose(found, expected, rtol=1e-2)
-
-
 def test_the_best_linear_estimate_attains_it():
     rng = np.random.default_rng(0)
     true = TrueBend(radius=1.5, angle=0.0, rotations=())
