@@ -186,30 +186,6 @@ def check_fits(page, width, height):
         assert min(part.bounding_box()[side] for side in ("width", "height")) > 100
 
 
-def test_dark_and_told_apart_in_strips(open_page, console, shown):
-    for number, mode in enumerate(4 * list(TrackingMode)):
-        console.add(Sample(time=0.5 * number, mode=str(mode), x=float(number), error=0.3))
-    page = open_page(console.web_url)
-    assert screenshot(page).mean() < 60
-
-    def check():
-        box = page.locator("#strip-mode").bounding_box()
-        x, y, width, height = (round(box[each]) for each in ("x", "y", "width", "height"))
-        picture = screenshot(page)[y : y + height, x : x + width]
-        rows = []
-        for colour in MODE_COLOURS.values():
-            near = np.abs(picture.astype(int) - 255 * np.array(colour)).max(axis=-1) < 25
-            assert near.sum() > 30
-            rows.append(np.median(np.nonzero(near)[0]))
-        assert rows == sorted(rows)  # a lane for each
-        assert min(np.diff(rows)) > 10
-
-    eventually(page, check)
-    box = page.locator("#strip-features").bounding_box()
-    assert page.evaluate("Bokeh.documents[0].get_model_by_name('features').y_range.end") > 15
-    assert box["height"] > 60
-
-
 def test_gain_window_planes_and_cine(open_page, console, shown):
     page = open_page(console.web_url)
     for k, (volume, estimate) in enumerate(shown):

@@ -3,17 +3,13 @@
 import numpy as np
 import pytest
 from page_clients.browser_view import eventually, project, screenshot, wait_for_object
-from pydrake.common.value import Value
-from pydrake.geometry import Meshcat, MeshcatParams
-from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.math import RigidTransform
 
 from sonoservo.diagrams import load_scenario, make_experiment
 from sonoservo.systems.display.console.console import Console
 from sonoservo.systems.display.pages.meshcat_page import open_meshcat
 from sonoservo.systems.display.pages.site import Files, Site
-from sonoservo.systems.display.world.world_view import WorldView
 from sonoservo.systems.evaluation.reports.report import save_replay
-from sonoservo.systems.signals.volume import Volume
 
 DURATION = 5.5
 CHANGES = [
@@ -137,81 +133,6 @@ def test_a_page_opened_late_shows_everything_and_each_layer_can_be_switched_off(
         switch(name, False)
 
 
-def volume_of(grey, time):
-    """A volume of one grey level, 60 mm wide, whose probe looks down, now here and now there."""
-    place = [0.45 + 0.08 * (time % 2), 0, 0.3]
-    X_WP = RigidTransform(RotationMatrix.MakeXRotation(-np.pi / 2), place)
-    origin, spacing = [-0.03, 0.0, -0.03], [2e-3] * 3
-    return Volume(np.full((31, 31, 31), grey, np.uint8), origin, spacing, X_WP, time)
-
-
-@pytest.mark.slow
-def test_every_new_volume_is_seen_and_what_is_off_stays_off(meshcat, open_page):
-    view = WorldView(meshcat=meshcat)
-    context = view.CreateDefaultContext()
-    page = open_world(open_page, meshcat.web_url())
-
-    def show(grey, time):
-        volume = volume_of(grey, time)
-        context.SetTime(time)
-        for name in ("X_WP", "X_WT"):
-            view.GetInputPort(name).FixValue(context, Value(volume.X_WP))
-        view.GetInputPort("volume").FixValue(context, Value[object](volume))
-        view.ForcedPublish(context)
-        meshcat.Flush()
-
-    def seen(time):
-        point = project(page, volume_of(0, time).X_WP.multiply([0.01, 0.03, 0.0]))
-        return patch(screenshot(page), point, 2)
-
-    def check_grey(grey, time):
-        # Meshcat's tone mapping makes dark greys up to 15 levels darker, light ones lighter.
-        np.testing.assert_allclose(seen(time), grey, atol=20)
-
-    for time, grey in enumerate((60, 180, 120)):
-        show(grey, float(time))
-        eventually(page, lambda grey=grey, time=time: check_grey(grey, time))
-    page.evaluate("viewer.scene_tree.children['slices'].vis_controller.setValue(false)")
-    live = "viewer.scene_tree.find(['slices', 'live']).children['<object>'].object.uuid"
-    last = page.evaluate(live)
-    show(10, 3.0)
-    page.wait_for_function(f"last => {live} != last", arg=last)
-    page.wait_for_timeout(300)
-    assert np.abs(seen(3.0) - 10).min() > 50  # what is behind
-    page.evaluate("viewer.scene_tree.children['slices'].vis_controller.setValue(true)")
-    show(150, 4.0)
-    eventually(page, lambda: check_grey(150, 4.0))
-
-
-CORNERS = """
-() => {
-  const points = [];
-  viewer.scene_tree.find(["probe"]).object.traverse(each => {
-    const corners = each.geometry?.attributes.position;
-    for (let k = 0; k < (corners?.count ?? 0); ++k) {
-      const v = viewer.camera.position.clone().fromBufferAttribute(corners, k);
-      points.push(each.localToWorld(v).project(viewer.camera).toArray().slice(0, 2));
-    }
-  });
-  return points;
-}
-"""
-
-
-def check_the_probe_is_inside(page):
-    corners = np.array(page.evaluate(CORNERS))
-    assert len(corners) > 100
-    assert np.abs(corners).max() < 1
-
-
-@pytest.mark.slow
-def test_the_probe_is_in_the_frame(run, open_page):
-    page = open_world(open_page, run.meshcat.web_url())
-    for width, height in ((506, 590), (800, 700)):  # as the console has it at its least and most
-        page.set_viewport_size({"width": width, "height": height})
-        eventually(page, lambda: check_the_probe_is_inside(page))
-
-
 SHOWN = """
 names => names.map(name => {
   const node = viewer.scene_tree.find(name.split('/'));
@@ -266,10 +187,3 @@ def test_the_console_winds_the_world_of_a_kept_run(replay, open_page):
             )
         assert not page.evaluate(f"{animator}.playing")
         page.close()
-
-
-def test_a_minute_of_replay_is_below_20_mb(run, replay):
-    # Beside the viewer itself, all that the size depends on is how long it was recorded.
-    viewer = len(Meshcat(MeshcatParams(host="localhost")).StaticHtml())
-    per_second = (replay.stat().st_size - viewer) / run.times[-1]
-    assert viewer + 60 * per_second < 20e6

@@ -4,7 +4,6 @@ from concurrent.futures import ProcessPoolExecutor
 
 import pytest
 import yaml
-from pydrake.multibody.plant import MultibodyPlantConfig
 
 from sonoservo.diagrams import run
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
@@ -13,7 +12,6 @@ from sonoservo.diagrams.papers.chatelain2013.method.tracker import (
     Chatelain2013AsPublishedParameters,
 )
 from sonoservo.diagrams.papers.zhao2012.method.tracker import Zhao2012AsPublishedParameters
-from sonoservo.diagrams.station import StationParameters
 from sonoservo.diagrams.trackers import Zhao2012TrackerParameters
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.tracking.axis_tip_filter import AxisTipFilter
@@ -45,21 +43,6 @@ def test_a_file_of_ones_own_and_the_whole_of_it_read_back(tmp_path):
     path.write_text(scenario.to_yaml())
     assert load_scenario(path) == scenario
     assert set(yaml.safe_load(scenario.to_yaml())) == set(FollowingScenario.__dataclass_fields__)
-
-
-def test_plant_settings_are_drakes_and_round_trip(tmp_path):
-    changes = ["station.plant.contact_model=point", "station.plant.stiction_tolerance=2e-4"]
-    scenario = load_scenario("chatelain2013_fig5", changes=changes)
-    plant = scenario.station.plant
-    assert isinstance(plant, MultibodyPlantConfig)
-    assert (plant.contact_model, plant.stiction_tolerance) == ("point", 2e-4)
-    assert plant.time_step == StationParameters().plant.time_step == 0.01
-    path = tmp_path / "mine.yaml"
-    path.write_text(scenario.to_yaml())
-    again = load_scenario(path, changes=["name=chatelain2013_fig5"])
-    assert again == scenario
-    plant.contact_model = "hydroelastic"
-    assert again != scenario
 
 
 def test_the_tracker_is_chosen_by_name(tmp_path):

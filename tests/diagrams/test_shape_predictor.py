@@ -2,7 +2,6 @@ import numpy as np
 import pytest
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform
-from pydrake.systems.analysis import Simulator
 
 from sonoservo.diagrams.shape_predictor import MakeShapePredictor
 from sonoservo.systems.shape.cross_section import CrossSectionParameters
@@ -79,18 +78,6 @@ def test_it_follows_the_predicted_shape_while_the_needle_is_not_seen():
     shape = predictor.GetOutputPort("shape").Eval(context)
     assert isinstance(shape, NeedleShape)
     assert shape.observed == pytest.approx(0.06)
-
-
-def test_its_own_events_take_note_of_a_slice():
-    localizer = CrossSectionParameters(start=[0.0, 0.025])
-    predictor = MakeShapePredictor(localizer=localizer, period=0.5, offset=0.25)
-    simulator = Simulator(predictor)
-    context = simulator.get_mutable_context()
-    predictor.GetInputPort("slice").FixValue(context, Value[object](picture([0.0, 0.025])))
-    simulator.AdvanceTo(0.2)
-    assert not predictor.GetOutputPort("shape").Eval(context)
-    simulator.AdvanceTo(0.3)
-    assert predictor.GetOutputPort("shape").Eval(context)
 
 
 def test_on_request_it_waits_for_a_click():

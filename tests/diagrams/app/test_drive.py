@@ -14,8 +14,6 @@ from sonoservo.diagrams.app.cli import app
 from sonoservo.diagrams.app.drive import drive
 from sonoservo.diagrams.app.run_result import RunResult
 from sonoservo.systems.display.console.console import Console
-from sonoservo.systems.evaluation.log import read_log
-from sonoservo.systems.evaluation.run_log import RunLog
 
 CHEAP = [
     "station.plant.contact_model=point",
@@ -88,23 +86,6 @@ def test_the_recorded_scenario_repeats_the_run(driven):
     assert np.ptp(first.X_WT[:, 0, 3]) == pytest.approx(0.015, abs=1e-4)
     for name in ("needle_points", "X_WT", "X_WP", "contact_force", "volume_estimate_tip"):
         np.testing.assert_allclose(getattr(again, name), getattr(first, name), rtol=0, atol=1e-9)
-
-
-def test_what_was_saved_on_the_way_is_a_scenario_too(driven):
-    _, folder, _ = driven
-    saved = load_scenario(folder / "scenario_1.yaml")
-    assert 2.5 <= saved.duration < 4.0
-    whole = load_scenario(folder / "scenario.yaml").hand.pushes
-    assert saved.hand.pushes[:-1] == whole[: len(saved.hand.pushes) - 1]
-
-
-def test_it_leaves_what_a_run_leaves(driven):
-    result, folder, operator = driven
-    names = {path.name for path in folder.iterdir()}
-    assert names >= {"scenario.yaml", "summary.json", "log.npz", "run.png", "report.html"}
-    assert json.loads((folder / "summary.json").read_text())["force"]["rms_error_n"] is None
-    np.testing.assert_array_equal(read_log(folder / "log.npz", RunLog).time, result.log.time)
-    assert any("aim it when it is outside" in text for *_, text in operator.seen)
 
 
 def test_pause_stops_time_and_none_is_made_up_for(console):

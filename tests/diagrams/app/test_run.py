@@ -66,12 +66,6 @@ def test_a_mistake_is_a_sentence(arguments, message):
         run(**{"scenario": "chatelain2013_fig5", **arguments})
 
 
-def test_a_scenario_that_is_loaded_can_be_changed_too():
-    scenario = load_scenario("carriere2016_d60", changes=SHORT)
-    with pytest.raises(ConfigurationError, match=r"depth: .*-1"):
-        run(scenario, changes={"depth": -1})
-
-
 def test_changes_are_those_from_the_built_in_scenario_or_from_the_defaults():
     changed = load_scenario("chatelain2013_fig5", changes={"imaging.gain": 0.5, "seed": 4})
     base, name = base_of(changed)

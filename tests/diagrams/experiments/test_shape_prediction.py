@@ -12,7 +12,6 @@ from sonoservo.systems.evaluation.shape.shape_metrics import (
     cross_section_errors,
     prediction,
 )
-from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.signals.needle_shape import NeedleShape
 
 SHORT = ["depth=0.04", "rotations=[0.025]", "observe_until=0.025", "step=1e-3"]
@@ -99,11 +98,6 @@ def test_a_needle_that_leaves_the_image_is_said_to_be_lost_and_the_tip_uncertain
             error = mean[0] - result.log.true[-1, :2]
             assert error @ np.linalg.solve(covariance[0], error) < 30
     assert len(lost) >= 1
-
-
-def test_a_hand_cannot_take_the_place_of_the_feed():
-    with pytest.raises(ConfigurationError, match="hand.feed"):
-        load_scenario("carriere2016_d60", changes=["hand.feed=null"])
 
 
 def test_recorded_slices_give_what_the_live_run_gave():

@@ -230,21 +230,6 @@ def test_interrupted_it_ends_and_keeps_what_is_done(tmp_path):
     assert sorted(each["case"]["seed"] for each in kept) == [0, 1]
 
 
-def test_cases_are_told_apart_and_named():
-    first, second = Case("fig4", 3), Case("fig4", 3, {"changes": ["a=1"]})
-    assert first == Case("fig4", 3)
-    assert len({first, second, Case("fig4", 3)}) == 2
-    assert first.name != second.name
-    assert first.name.startswith("fig4_seed003_")
-    with pytest.raises(TypeError):
-        Case("fig4", 3, {"object": object()})
-
-
-def test_two_cases_alike_are_refused(tmp_path):
-    with pytest.raises(ValueError, match="all must differ"):
-        run_cases(square, [Case("e", 0), Case("e", 0)], tmp_path)
-
-
 def test_options(tmp_path):
     options = StudyOptions(folder=tmp_path, first_seed=100)
     assert options.seed_range(20, 2) == range(100, 120)

@@ -27,7 +27,7 @@ def test_a_log_survives_its_file(tmp_path, insertion_log, make_log):
     assert (log.time.shape, log.X_WP.shape) == ((0,), (0, 4, 4))
 
 
-@pytest.mark.parametrize("kept", [0, 10, 0.5, 0.99, 1.0])
+@pytest.mark.parametrize("kept", [0, 0.99, 1.0])
 def test_a_truncated_or_damaged_file_is_refused(tmp_path, insertion_log, kept):
     path = write_log(tmp_path / "log.npz", insertion_log)
     data = bytearray(path.read_bytes())

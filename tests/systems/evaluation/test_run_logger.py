@@ -161,15 +161,15 @@ def log_of(logger, simulator):
 
 
 def test_in_a_diagram_every_sample_and_volume_is_kept_once():
-    logger = RunLogger(period=1 / 32, volume_period=0.25, volume_offset=0.2 + 1e-6)
+    logger = RunLogger(period=1 / 128, volume_period=0.25, volume_offset=0.2 + 1e-6)
     simulator = simulate(logger)
     simulator.AdvanceTo(2.0)
     log = log_of(logger, simulator)
-    np.testing.assert_array_equal(log.time, np.arange(0, 65) / 32)
+    np.testing.assert_array_equal(log.time, np.arange(257) / 128)
     np.testing.assert_allclose(log.volume_time, 0.1 + 0.25 * np.arange(8))
     np.testing.assert_allclose(log.volume_seen, 0.2 + 0.25 * np.arange(8) + 1e-6)
-    assert log.estimate_mode[6] == "searching"  # 0.1875 s, before the first volume
-    assert log.estimate_mode[7] == "tracking"
+    assert log.estimate_mode[25] == "searching"  # 0.195 s, before the first volume
+    assert log.estimate_mode[26] == "tracking"
     simulator.get_mutable_context().SetTime(0.0)
     simulator.Initialize()  # each run begins anew
     assert len(log_of(logger, simulator).time) == 1

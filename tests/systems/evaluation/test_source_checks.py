@@ -65,9 +65,7 @@ def test_steady_times_need_nothing_and_tell_the_rate():
         ),
         (0.1 * np.arange(30) + 0.05 * (np.arange(30) % 2), Check.RATE, "varies by 46 %"),
         (np.r_[0.1 * np.arange(9), 0.8, 0.9], Check.CLOCK, "1 time stamps are missing, repeated"),
-        (np.r_[0.1 * np.arange(9), np.nan, 0.9], Check.CLOCK, "1 time stamps"),
         (np.zeros(5), Check.RATE, "no time stamp of 5 volumes advances"),
-        (300.0 * np.arange(9), Check.RATE, "two volumes are 300 s apart"),
     ],
 )
 def test_times_that_need_something(times, check, text):
@@ -80,10 +78,8 @@ def test_times_that_need_something(times, check, text):
     [
         ("ProbeToTracker", np.diag([1.2, 1.2, 1.2, 1]), "is no rotation: it scales by 1.2"),
         ("ProbeToTracker", np.diag([1, 1, -1, 1]), "is a reflection"),
-        ("ProbeToTracker", np.eye(4) + 0.1 * np.eye(4, k=1), "not at right angles"),
         ("ImageToProbe", np.eye(4), "as if nobody had calibrated"),
         ("ProbeToTracker", np.full((4, 4), np.nan), "no matrix is valid"),
-        ("ProbeToTracker", np.zeros((4, 4)), "empty axis"),
     ],
 )
 def test_matrices_that_are_none(name, change, text):
@@ -107,7 +103,6 @@ def test_motion_of_a_probe_needs_nothing():
     ("change", "text"),
     [
         (lambda m: m[:1].repeat(50, axis=0), "never moves in 50 poses"),
-        (lambda m: m[::2].repeat(2, axis=0), "51 % of the poses repeat"),
         (
             lambda m: np.where(np.arange(50)[:, None, None] == 20, m + 300 * np.eye(4, k=3), m),
             "jumps",

@@ -37,7 +37,7 @@ def volume_with_line(start, stop, contrast_db, *, factor=1.0, speckle_db=0.0, li
 START, STOP = (-0.012, 0.015, -0.01), (0.012, 0.047, 0.01)
 
 
-@pytest.mark.parametrize("lit", [0.25, 0.5, 1.0])
+@pytest.mark.parametrize("lit", [0.25, 1.0])
 def test_what_stands_out_is_measured(lit):
     points = np.linspace(START, STOP, 9)
     length = lit * np.linalg.norm(np.subtract(STOP, START))

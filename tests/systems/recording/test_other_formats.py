@@ -133,10 +133,8 @@ def test_a_row_that_is_missing_costs_its_frame(tmp_path, frames):
     [
         ("file,time,x\na.png,1,2", "x, y, z, qw"),
         ("time,AngleToo_m00\n1,2", "names no transform"),
-        ("frame,m00\nx,2", "its frames have no poses"),
         ("frame,m00\n1,2", "row 1 is that of frame 1; there are 1"),
         ("Pos1,Pos2\n1,2", r"none of its columns \(Pos1, Pos2\) is part of a pose"),
-        ("", "no rows"),
     ],
 )
 def test_a_table_that_is_none_is_refused(tmp_path, text, message):

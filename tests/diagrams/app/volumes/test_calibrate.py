@@ -62,16 +62,6 @@ def test_tracking_corrects_and_reports_the_errors(recorded, short, tmp_path):
     assert "pose_errors" not in track_recording(Recording(short)).summary
 
 
-def test_a_calibrated_tracker_has_a_tracker_s_ports():
-    own, calibrated = (MakeNeedleTracker(period=1.0, correct_poses=each) for each in (False, True))
-
-    def names(system):
-        return [system.get_output_port(i).get_name() for i in range(system.num_output_ports())]
-
-    assert names(calibrated) == [*names(own), "corrected_volume", "pose_errors"]
-    assert calibrated.HasInputPort("volume")
-
-
 def test_a_place_in_the_image_stays_there_when_poses_are_corrected(recorded):
     X_WL, frames = RigidTransform([0.1, 0.2, 0.3]), []
     bench = TrackerBench(MakeNeedleTracker(period=1.0, correct_poses=True))

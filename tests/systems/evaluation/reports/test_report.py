@@ -51,13 +51,6 @@ def test_plots_show_the_columns(insertion_log):
     assert np.nanmax(axis.get_lines()[0].get_ydata()) == pytest.approx(0, abs=1e-6)
 
 
-@pytest.mark.parametrize("samples", [0, 1])
-def test_plots_of_almost_nothing(make_log, samples):
-    log = make_log(samples, samples, time=np.arange(float(samples)))
-    for figure in (plot_run(log), plot_errors(log)):
-        assert png(figure, dpi=20).startswith(b"\x89PNG")
-
-
 def test_page(insertion_log, make_log):
     picture = png(plot_errors(insertion_log), dpi=20)
     summary = {"scenario": "fig <5>", "seed": 3, "compile_s": 27.2, **summarize(insertion_log)}

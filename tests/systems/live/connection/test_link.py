@@ -69,7 +69,6 @@ def test_address_is_read():
     ("text", "message"),
     [
         ("igtl:/host", "is no address; igtl://host:18944/DEVICE connects"),
-        ("igtl://host:99999", "is no address"),
         ("igtl://host:12/" + 21 * "x", "is no address"),
         ("igt://host", "unknown protocol 'igt'; known: igtl"),
     ],
@@ -77,10 +76,6 @@ def test_address_is_read():
 def test_wrong_address_is_refused(text, message):
     with pytest.raises(ConfigurationError, match=message):
         parse_address(text)
-
-
-def test_it_listens_on_this_machine_alone(server):
-    assert server._listener.getsockname()[0] == "127.0.0.1"
 
 
 def test_port_that_is_taken_is_one_line(server, ear):

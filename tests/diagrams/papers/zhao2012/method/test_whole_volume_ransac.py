@@ -8,7 +8,6 @@ from pydrake.math import RigidTransform, RotationMatrix
 
 from sonoservo.diagrams.papers.zhao2012.method.whole_volume_ransac import (
     WholeVolumeRansacParameters,
-    brightest_voxels,
     localize_in_whole_volume,
 )
 from sonoservo.systems.signals.volume import Volume
@@ -81,18 +80,6 @@ def test_short_gaps_do_not_end_the_needle(gap, reaches):
     tip = X_WP.inverse() @ found.fit.axis.position(found.tip)
     length = (tip - START) @ (TIP - START) / np.linalg.norm(TIP - START)
     assert length == pytest.approx(np.linalg.norm(TIP - START) if reaches else 10e-3, abs=0.8e-3)
-
-
-@pytest.mark.parametrize("dtype", [np.uint8, np.float32])
-def test_brightest_voxels_are_as_many_as_wanted(dtype):
-    rng = np.random.default_rng(0)
-    values = rng.integers(0, 20, (12, 13, 14)).astype(dtype)
-    volume = Volume(values, np.zeros(3), 1e-3 * np.ones(3), RigidTransform(), 0.0)
-    index = brightest_voxels(volume, 150)
-    assert len(np.unique(index, axis=0)) == 150
-    np.testing.assert_array_equal(
-        np.sort(values[tuple(index.T)]), np.sort(values, axis=None)[-150:]
-    )
 
 
 @pytest.mark.parametrize("level", [0, 7])
