@@ -37,11 +37,6 @@ def test_the_probe_may_be_mounted_another_way(tmp_path):
             r"mine\.yaml: directives\.0\.add_model\.file: there is no file",
         ),
         (
-            "body: {directives: [{add_model: {name: probe, "
-            "file: 'package://sonoservo/robots/viper_s850.urdf'}}]}",
-            r"mine\.yaml: body\.directives: the model 'probe' has no link named 'probe'",
-        ),
-        (
             "body: {directives: [{add_model: {name: x, "
             "file: 'package://sonoservo/probes/4dc7_3_40.sdf'}}]}",
             r"mine\.yaml: body\.directives: .*named 'probe'",

@@ -115,12 +115,17 @@ def test_probe_lands_gently_and_holds_two_newtons():
     station = StationParameters(
         plant=MultibodyPlantConfig(time_step=0.005), probe=ProbePlacement(height=0.008)
     )
-    times, force = Loop(tracker=no_needle(), station=station).run(3.0).force()
+    loop = Loop(tracker=no_needle(), station=station).run(2.0)
+    before = loop.probe_pose()
+    times, force = loop.run(3.0).force()
     landed = times[np.argmax(force > 0)]
     assert 0.5 < landed < 1.2
     assert force.max() < 2.5
     np.testing.assert_allclose(force[times > landed + 1.0], 2.0, atol=0.1)
     assert force[times > 2.5].mean() == pytest.approx(2.0, abs=0.02)
+    moved = before.inverse() @ loop.probe_pose()  # without a needle, nowhere
+    assert np.linalg.norm(moved.translation()) < 5e-5
+    np.testing.assert_allclose(moved.rotation().matrix(), np.eye(3), atol=1e-4)
 
 
 def test_contact_lost_is_regained():

@@ -7,9 +7,8 @@ import signal
 import subprocess
 import sys
 import time
-from importlib.resources import files
+from functools import cache
 from pathlib import Path
-from shutil import copytree
 
 import pytest
 from rich.console import Console
@@ -63,6 +62,8 @@ def test_a_part_of_a_study_is_run_alone(tmp_path, calls):
     assert [each.case for each in run_study(square, cases, options)] == cases[3:]
     with pytest.raises(ConfigurationError, match="no experiment begins with 'x'; squares, open, x"):
         run_study(square, cases, StudyOptions(folder=tmp_path, only="x"))
+    with pytest.raises(ValueError, match="all must differ"):
+        run_cases(square, 2 * cases, tmp_path)
 
 
 def test_what_is_done_is_not_done_again(tmp_path, calls):
@@ -128,29 +129,24 @@ def test_all_code_counts_but_the_rooms_that_show_and_the_results_themselves(tmp_
 
 
 def test_code_counts_where_the_results_come_from_it(tmp_path, monkeypatch):
-    for part in ("systems", "models", "diagrams"):
-        copytree(str(files(f"sonoservo.{part}")), tmp_path / part)
+    changed = ("systems/live/acquisition.py", "systems/evaluation/success.py", "models/clinic.yaml")
+    for path in (*changed, "diagrams/seeds.py"):
+        (tmp_path / path).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / path).touch()
     monkeypatch.setattr(
         fingerprint, "files", lambda package: tmp_path / package.removeprefix("sonoservo.")
     )
-
-    def digest_after(path, *modules):
-        with (tmp_path / path).open("a") as file:
-            file.write("\nadded: 1\n")
-        code_fingerprint.cache_clear()
-        return code_fingerprint(*modules)
-
-    work = "sonoservo.diagrams.studies.following.analysis"
-    unknown = "my_study"
+    monkeypatch.setattr(fingerprint, "_reached_modules", cache(fingerprint._reached_modules))
+    work, unknown = "sonoservo.diagrams.studies.following.analysis", "my_study"
     try:
-        first, whole = code_fingerprint(work), code_fingerprint(unknown)
-        assert whole == code_fingerprint() != first
-        assert digest_after("systems/live/acquisition.py", work) == first
-        assert code_fingerprint(unknown) != whole
-        seen = {first}
-        for path in ("systems/evaluation/success.py", "diagrams/scenarios/clinic.yaml"):
-            seen.add(digest_after(path, work))
-        assert len(seen) == 3
+        found = []
+        for path in (None, *changed):
+            if path:
+                (tmp_path / path).write_text("added: 1\n")
+            code_fingerprint.cache_clear()
+            found.append((code_fingerprint(work), code_fingerprint(unknown)))
+            assert found[-1][1] == code_fingerprint() != found[-1][0]
+        assert [len({each[k] for each in found}) for k in (0, 1)] == [3, 4]  # live makes no result
     finally:
         code_fingerprint.cache_clear()
 

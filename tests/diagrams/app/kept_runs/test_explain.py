@@ -1,6 +1,7 @@
 """What a run keeps to explain its estimates, and the command that draws it."""
 
 import json
+from shutil import copytree
 
 import numpy as np
 import pytest
@@ -97,8 +98,7 @@ def test_the_command_lists_and_draws(kept, tmp_path):
         ("nowhere", [], "there is no folder .*nowhere; make it: sonoservo run .* --explain"),
         ("plain", [], "plain has no explanations; repeat the run with --explain"),
         ("quiet", [], "nothing happened that was to be explained"),
-        ("out", ["--time", "100"], r"time: 100 s is outside; .* from \d+\.\d+ to \d+\.\d+ s"),
-        ("out", ["--time", "nan"], "time: nan s is outside"),
+        ("out", ["--time", "nan"], r"time: nan s is outside; .* from \d+\.\d+ to \d+\.\d+ s"),
     ],
 )
 def test_a_mistake_is_one_line_that_says_what_to_do(kept, tmp_path, name, arguments, message):
@@ -111,16 +111,8 @@ def test_a_mistake_is_one_line_that_says_what_to_do(kept, tmp_path, name, argume
     assert len(str(error.value).splitlines()) == 1
 
 
-def test_without_a_folder_nothing_can_be_explained():
-    with pytest.raises(ConfigurationError, match="explain: there is no folder"):
-        run(load_scenario("chatelain2013_fig4"), explain=True)
-
-
 def test_without_the_log_the_truth_is_not_known(kept, tmp_path):
-    out, _ = kept
-    (tmp_path / FOLDER).mkdir()
-    for path in (out / FOLDER).iterdir():
-        (tmp_path / FOLDER / path.name).write_bytes(path.read_bytes())
+    copytree(kept[0] / FOLDER, tmp_path / FOLDER)
     explained = read_explained_run(tmp_path)
     assert np.isnan([row["tip_error_mm"] for row in explained.rows()]).all()
     assert "truth" not in str(

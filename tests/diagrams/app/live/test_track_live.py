@@ -1,7 +1,6 @@
 """Volumes over sockets: tracked, recorded, played and served, against the same in files."""
 
 import csv
-import sys
 import threading
 from contextlib import contextmanager
 
@@ -34,7 +33,6 @@ from sonoservo.systems.recording.side_files import ACQUISITION, side_path
 COUNT = 10
 ENTRY = entry_on_side()
 K = np.array([1, 0.25, 0.1]) / np.linalg.norm([1, 0.25, 0.1])
-COMMAND = [sys.executable, "-m", "sonoservo.diagrams.app"]
 
 
 def needle(time):
@@ -164,6 +162,17 @@ def test_bridge_records_what_was_played(recording, tmp_path):
     assert here == there
 
 
+def test_an_interruption_keeps_what_was_tracked(recording, tmp_path):
+    def stop(number, estimate):
+        if number == 1:
+            raise KeyboardInterrupt
+
+    with played(recording) as source:
+        track_live(source, out=tmp_path, after_volume=stop)
+    assert len(rows_of(tmp_path)) >= 1
+    assert (tmp_path / "summary.json").is_file()
+
+
 def test_quiet_stream_ends_by_patience():
     said = []
     with Link(parse_address("igtl://:0"), report=quiet) as server:
@@ -189,15 +198,9 @@ def test_run_sends_all_that_it_makes_under_names_that_fit(served):
     _, items = served
     names = {item.name for item in items}
     assert names == {
-        "Acquisition",
-        "Image_Probe",
-        "Frame",
-        "SliceA_Probe",
-        "SliceB_Probe",
-        "ProbeToReference",
-        "NeedleStatus",
-        "TrueTissueToRef",
-    }
+        "Acquisition", "Image_Probe", "Frame", "SliceA_Probe", "SliceB_Probe", "ProbeToReference",
+        "NeedleStatus", "TrueTissueToRef",
+    }  # fmt: skip
     assert max(len(name) for name in names) <= 20
 
 
@@ -237,27 +240,8 @@ def test_names_of_devices_can_be_set():
     ("arguments", "message"),
     [
         (["bridge", "a.seq.nrrd", "b.seq.nrrd"], "one must be an address (igtl://...)"),
-        (["bridge", "igtl://a", "igtl://b"], "one must be an address (igtl://...)"),
-        (["track", "igtl://a:99999"], "is no address"),
-        (["track", "udp://a"], "unknown protocol 'udp'"),
-        (
-            ["run", "carriere2016_d60", "--no-meshcat", "--serve", "igtl://:0"],
-            "one of 'following' is needed here",
-        ),
         (["track", "nowhere.seq.nrrd", "--show"], "nowhere.seq.nrrd"),
-        (
-            [
-                "run",
-                "chatelain2013_fig5",
-                "--serve",
-                "igtl://:0",
-                "--wait-for",
-                "1",
-                "--record",
-                "volumes.txt",
-            ],
-            "volumes.txt",
-        ),
+        (["run", "chatelain2013_fig5", "--serve", "igtl://:0", "--record", "v.txt"], "v.txt"),
     ],
 )
 def test_mistakes_are_one_line(arguments, message, capsys):

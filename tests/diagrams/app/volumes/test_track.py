@@ -51,30 +51,16 @@ def test_a_recording_gives_the_estimates_of_the_live_run_exactly(live, tmp_path)
     for block in ("detection", "tracking"):
         for name, figure in result.summary[block].items():
             if name.endswith(("_mm", "_deg")) and name != "absent_travel_mm":
-                near = (
-                    2e-3 if name == "tip_error_in_probe_mm" else 1e-9
-                )  # it has the sweep's motion
+                near = 2e-3 if name == "tip_error_in_probe_mm" else 1e-9  # it has the motion
                 assert seen.summary[block][name] == pytest.approx(figure, rel=near), name
     true = seen.log.visible_length[np.searchsorted(seen.log.time, seen.times[-1])]
     assert seen.in_view[-1] == pytest.approx(true, abs=2e-3)
 
-    assert {each.name for each in tmp_path.iterdir()} == {
-        "estimates.csv",
-        "estimates.json",
-        "summary.json",
-        "log.npz",
-        "planes.png",
-        "tip.png",
-        "errors.png",
-        "report.html",
-    }
+    names = "estimates.csv estimates.json summary.json log.npz planes.png tip.png errors.png"
+    assert {each.name for each in tmp_path.iterdir()} == {*names.split(), "report.html"}
     with (tmp_path / "estimates.csv").open() as file:
         rows = list(csv.DictReader(file))
-    assert (
-        len(rows)
-        == len(Recording(path))
-        == len(json.loads((tmp_path / "estimates.json").read_text()))
-    )
+    assert len(rows) == len(json.loads((tmp_path / "estimates.json").read_text()))
     assert rows[0]["tip_l_mm"] == ""
     assert float(rows[-1]["probability"]) == seen.estimates[-1].probability
     assert set(REQUIRED) | set(OPTIONAL) - {"process_ms"} <= rows[0].keys()
@@ -136,13 +122,13 @@ def needle(time):
 
 @pytest.fixture(scope="module")
 def volumes():
-    return [SCENE.volume(k, needle) for k in range(36)]
+    return [SCENE.volume(k, needle) for k in range(30, 36)]
 
 
 def test_anywhere_finds_a_needle_that_was_always_there(tmp_path, volumes):
     path = tmp_path / "a.seq.nrrd"
     with RecordingWriter(path) as writer:
-        for volume in volumes[-6:]:
+        for volume in volumes:
             writer.append(volume)
     assert not any(track_recording(Recording(path)).estimates)
     anywhere = tracker_parameters(start="anywhere")
@@ -185,7 +171,7 @@ def test_real_time_goes_no_faster(tmp_path):
 def test_an_interruption_keeps_what_was_tracked(tmp_path, volumes):
     path = tmp_path / "a.seq.nrrd"
     with RecordingWriter(path) as writer:
-        for volume in volumes[:6]:
+        for volume in volumes:
             writer.append(volume)
 
     def stop(number, estimate):

@@ -2,7 +2,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from pydrake.math import RigidTransform
@@ -78,8 +78,7 @@ def test_probe_and_far_end_are_faces(before, motion):
     assert abs(closest_face(volume, deep)[1] - deep[1]) > 1e-3
 
 
-@pytest.mark.parametrize("line", [0, GEOMETRY.lines - 1])
-@pytest.mark.parametrize("direction", [0, 1])
+@pytest.mark.parametrize(("line", "direction"), [(0, 0), (GEOMETRY.lines - 1, 1)])
 def test_side_of_the_sector(line, direction):
     volume = SCENE.volume(direction)
     on_side = GEOMETRY.position(12, line, 150, volume.motion.direction)
@@ -127,6 +126,7 @@ def cost(y, points):
     return np.linalg.norm(points - y, axis=1).sum()
 
 
+@settings(max_examples=30)
 @given(arrays(float, st.tuples(st.integers(1, 12), st.just(3)), elements=COORDINATES))
 def test_no_other_point_is_closer_than_the_median(points):
     median = geometric_median(points)
