@@ -12,16 +12,10 @@ import sonoservo.systems  # noqa: F401  (before NumPy: it sets the number of thr
 
 import numpy as np  # isort: skip
 
-from sonoservo.diagrams import load_scenario
-from sonoservo.diagrams.experiments.following import FollowingExperiment
-from sonoservo.systems.signals.needle import Needle
-from sonoservo.systems.signals.sweep import Sweep, SweepGeometry, SweepMotion
-from sonoservo.systems.ultrasound.imaging import ImagingParameters
-from sonoservo.systems.ultrasound.scan_conversion import ScanConversion, make_grid
-from sonoservo.systems.ultrasound.simulation.rendering import SweepRenderer
-from sonoservo.systems.ultrasound.simulation.scanner_parameters import ScannerParameters
-from sonoservo.systems.ultrasound.simulation.tissue import load_tissue
-from sonoservo.systems.ultrasound.transducer import Transducer
+from sonoservo.diagrams import FollowingExperiment, load_scenario
+from sonoservo.systems.signals import Needle, Sweep, SweepGeometry, SweepMotion
+from sonoservo.systems.ultrasound import ImagingParameters, ScanConversion, Transducer, make_grid
+from sonoservo.systems.ultrasound.simulation import ScannerParameters, SweepRenderer, load_tissue
 
 FIG5 = "chatelain2013_fig5"
 SETTLED, MEASURED = 3.0, 12.0

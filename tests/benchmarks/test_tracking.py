@@ -11,11 +11,9 @@ from synthetic_volumes import Scene, entry_on_side
 from sonoservo.diagrams.papers.zhao2012.phantom import DIRECTION, TOWARDS, Phantom, StraightNeedle
 from sonoservo.diagrams.papers.zhao2012.tracking import BMode, Tracking
 from sonoservo.systems.shape.normalized_cross_correlation import normalized_cross_correlation
-from sonoservo.systems.signals.needle_curve import NeedleCurve
-from sonoservo.systems.signals.needle_prediction import NeedlePrediction
+from sonoservo.systems.signals import NeedleCurve, NeedlePrediction
+from sonoservo.systems.tracking import NeedleLocalizerParameters, localize
 from sonoservo.systems.tracking.line_belief import LineBelief, follow
-from sonoservo.systems.tracking.localizer_parameters import NeedleLocalizerParameters
-from sonoservo.systems.tracking.pipeline import localize
 
 ENTRY = entry_on_side()
 TIP = ENTRY + np.array([0.045, 0.012, 0.005])

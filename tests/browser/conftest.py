@@ -5,8 +5,7 @@ import shutil
 import pytest
 from playwright.sync_api import Error, sync_playwright
 
-from sonoservo.systems.display.pages.meshcat_page import open_meshcat
-from sonoservo.systems.display.pages.site import Site
+from sonoservo.systems.display import Site, open_meshcat
 
 NO_CHROMIUM = "no Chromium: install it with your package manager, or `playwright install chromium`"
 KNOWN_WARNINGS = (

@@ -7,15 +7,13 @@ import pytest
 from page_clients.browser_view import eventually, screenshot
 from synthetic_volumes import Scene, entry_on_side
 
+from sonoservo.systems.display import Console, Site
 from sonoservo.systems.display.colours import MODE_COLOURS
-from sonoservo.systems.display.console.console import Console
 from sonoservo.systems.display.console.controls import controller_controls, operator_controls
 from sonoservo.systems.display.console.readings import Frame, Reading, Sample
 from sonoservo.systems.display.console.shape_page import PATHS, ShapePage
 from sonoservo.systems.display.console.slices import SlicePicture, slice_pictures
-from sonoservo.systems.display.pages.site import Site
-from sonoservo.systems.signals.needle_curve import NeedleCurve
-from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
+from sonoservo.systems.signals import NeedleCurve, NeedleEstimate, TrackingMode
 
 ENTRY = entry_on_side()
 TIPS = [ENTRY + np.array([0.045, 0.010, 0.004]), ENTRY + np.array([0.070, 0.014, 0.010])]

@@ -6,9 +6,8 @@ from page_clients.browser_view import eventually, project, screenshot, wait_for_
 from pydrake.math import RigidTransform
 
 from sonoservo.diagrams import load_scenario, make_experiment
-from sonoservo.systems.display.console.console import Console
-from sonoservo.systems.display.pages.meshcat_page import open_meshcat
-from sonoservo.systems.display.pages.site import Files, Site
+from sonoservo.systems.display import Console, Site, open_meshcat
+from sonoservo.systems.display.pages.site import Files
 from sonoservo.systems.evaluation.reports.report import save_replay
 
 DURATION = 5.5

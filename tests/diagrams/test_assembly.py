@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from sonoservo.diagrams.assembly import assemble_arm, load_probe_body
+from sonoservo.diagrams import assemble_arm, load_probe_body
 from sonoservo.systems.files.refusals import ConfigurationError
 
 

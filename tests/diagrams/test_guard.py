@@ -16,12 +16,11 @@ from fault_runs import (
     run_faults,
 )
 
-from sonoservo.diagrams import load_scenario
-from sonoservo.diagrams.probe_controller import MakeProbeController, ProbeControllerParameters
+from sonoservo.diagrams import MakeProbeController, ProbeControllerParameters, load_scenario
 from sonoservo.models import model_path
-from sonoservo.systems.control.guard_parameters import GuardParameters
+from sonoservo.systems.control import GuardParameters
 from sonoservo.systems.files.refusals import ConfigurationError
-from sonoservo.systems.robot.phantom_motion import Breathing, PhantomMotionParameters
+from sonoservo.systems.robot import Breathing, PhantomMotionParameters
 
 PAGE = Path(__file__).parents[2] / "notebooks/docs/robot.md"
 

@@ -5,9 +5,8 @@ import pytest
 from independent_images import Truth, sequence_case, volume_case
 from independent_study import SEEN, compare, study_sequences, study_volumes
 
-from sonoservo.diagrams.app.volumes.locate import locate_in
-from sonoservo.diagrams.tracker_bench import track
-from sonoservo.systems.signals.needle_curve import NeedleCurve
+from sonoservo.diagrams import locate_in, track
+from sonoservo.systems.signals import NeedleCurve
 
 SHAPE = 84, 68, 52
 ALONG = np.linspace([0, 0.02, 0], [0.03, 0.03, 0.01], 60)

@@ -5,13 +5,16 @@ import pytest
 from pydrake.common.value import Value
 from pydrake.systems.framework import LeafSystem
 
-from sonoservo.diagrams import load_scenario, make_experiment, run, tracker_events
-from sonoservo.diagrams.assembly import assemble_arm
-from sonoservo.diagrams.scenario import draw_seeds
+from sonoservo.diagrams import (
+    assemble_arm,
+    draw_seeds,
+    load_scenario,
+    make_experiment,
+    run,
+    tracker_events,
+)
 from sonoservo.systems.robot.errors.calibration import hand_eye_error, joint_offsets
-from sonoservo.systems.signals.needle_curve import NeedleCurve
-from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
-from sonoservo.systems.signals.volume import Volume
+from sonoservo.systems.signals import NeedleCurve, NeedleEstimate, TrackingMode, Volume
 
 FAST = [
     "station.plant.contact_model=point",

@@ -7,18 +7,17 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import LeafSystem
 from synthetic_volumes import Scene, entry_on_side
 
-from sonoservo.diagrams.needle_tracker import MakeNeedleTracker, require_tracker
+from sonoservo.diagrams import MakeNeedleTracker, track
+from sonoservo.diagrams.needle_tracker import require_tracker
 from sonoservo.diagrams.papers.chatelain2013.method.detection import PublishedDetectionParameters
 from sonoservo.diagrams.papers.chatelain2013.method.tracker import (
     Chatelain2013AsPublishedParameters,
 )
 from sonoservo.diagrams.papers.zhao2012.method.tracker import Zhao2012AsPublishedParameters
-from sonoservo.diagrams.tracker_bench import track
 from sonoservo.diagrams.trackers import Chatelain2013TrackerParameters, Zhao2012TrackerParameters
 from sonoservo.diagrams.trackers.registry import TRACKERS
 from sonoservo.systems.files.refusals import ConfigurationError
-from sonoservo.systems.signals.immutable import NotFound
-from sonoservo.systems.signals.needle_estimate import TrackingMode
+from sonoservo.systems.signals import NotFound, TrackingMode
 
 PERIOD = 0.303
 SPEED = 8e-3

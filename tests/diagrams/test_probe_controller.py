@@ -7,13 +7,16 @@ from pydrake.systems.framework import DiagramBuilder, LeafSystem
 from pydrake.systems.primitives import LogVectorOutput
 from pydrake.trajectories import PiecewisePolynomial
 
-from sonoservo.diagrams.probe_controller import MakeProbeController, ProbeControllerParameters
-from sonoservo.diagrams.station import MakeStation, ProbePlacement, StationParameters
-from sonoservo.systems.control.visual_features import needle_features
-from sonoservo.systems.control.visual_servo import VisualServoParameters
+from sonoservo.diagrams import (
+    MakeProbeController,
+    MakeStation,
+    ProbeControllerParameters,
+    ProbePlacement,
+    StationParameters,
+)
+from sonoservo.systems.control import VisualServoParameters, needle_features
 from sonoservo.systems.robot.phantom import PhantomMotion
-from sonoservo.systems.signals.needle_curve import NeedleCurve
-from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
+from sonoservo.systems.signals import NeedleCurve, NeedleEstimate, TrackingMode
 
 VOLUME_PERIOD = 0.303
 

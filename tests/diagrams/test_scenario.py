@@ -5,9 +5,7 @@ from concurrent.futures import ProcessPoolExecutor
 import pytest
 import yaml
 
-from sonoservo.diagrams import run
-from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
-from sonoservo.diagrams.experiments.registry import list_scenarios, load_scenario
+from sonoservo.diagrams import FollowingScenario, list_scenarios, load_scenario, run
 from sonoservo.diagrams.papers.chatelain2013.method.tracker import (
     Chatelain2013AsPublishedParameters,
 )

@@ -3,12 +3,9 @@ import pytest
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 
-from sonoservo.diagrams.shape_predictor import MakeShapePredictor
-from sonoservo.systems.shape.cross_section import CrossSectionParameters
-from sonoservo.systems.signals.cross_section import CrossSection
-from sonoservo.systems.signals.image_slice import ImageClick, ImageSlice
-from sonoservo.systems.signals.immutable import NotFound
-from sonoservo.systems.signals.needle_shape import NeedleShape
+from sonoservo.diagrams import MakeShapePredictor
+from sonoservo.systems.shape import CrossSectionParameters
+from sonoservo.systems.signals import CrossSection, ImageClick, ImageSlice, NeedleShape, NotFound
 
 SPACING, ORIGIN = 0.2e-3, np.array([-0.02, 0.005])
 RADIUS = CrossSectionParameters().needle_radius

@@ -7,20 +7,22 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource
 from pydrake.trajectories import PiecewisePolynomial
 
-from sonoservo.diagrams.assembly import assemble_arm
-from sonoservo.diagrams.experiments.registry import load_scenario, make_experiment
-from sonoservo.diagrams.station import (
+from sonoservo.diagrams import (
     MakeStation,
     ProbePlacement,
     StationParameters,
+    assemble_arm,
     check_reach,
+    load_scenario,
+    make_experiment,
     start_posture,
 )
 from sonoservo.systems.control.force_controller import pressing_force
-from sonoservo.systems.evaluation.log import read_log, write_log
+from sonoservo.systems.evaluation import read_log
+from sonoservo.systems.evaluation.log import write_log
+from sonoservo.systems.robot import WristSensorParameters
 from sonoservo.systems.robot.phantom import PhantomMotion
 from sonoservo.systems.robot.posture import solve_posture
-from sonoservo.systems.robot.wrist_force_sensor import WristSensorParameters
 
 WEIGHT = 0.5 * 9.81
 QUIET = {"wrist_sensor": WristSensorParameters(force_noise=0.0, torque_noise=0.0)}

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from sonoservo.diagrams import load_scenario, run
-from sonoservo.systems.evaluation.run_errors import estimate_errors
-from sonoservo.systems.signals.needle_estimate import TrackingMode
+from sonoservo.systems.evaluation import estimate_errors
+from sonoservo.systems.signals import TrackingMode
 
 STRAIGHT = ["hand.entry_spread=[0, 0, 0]", "hand.angle_spread_deg=0", "hand.dip_deg=3"]
 PUSHED = [*STRAIGHT, "hand.start=2.5", "hand.pushes=[{duration: 9, speed: 0.008}]"]

@@ -12,18 +12,17 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 from pydrake.systems.primitives import LogVectorOutput
 
-from sonoservo.diagrams.probe_controller import MakeProbeController, ProbeControllerParameters
-from sonoservo.diagrams.station import MakeStation, ProbePlacement, StationParameters
-from sonoservo.systems.robot.errors.sensor_faults import SensorFault, faulty_sample
-from sonoservo.systems.robot.phantom_motion import (
-    Breathing,
-    Move,
-    PhantomMotionParameters,
-    phantom_trajectory,
+from sonoservo.diagrams import (
+    MakeProbeController,
+    MakeStation,
+    ProbeControllerParameters,
+    ProbePlacement,
+    StationParameters,
 )
-from sonoservo.systems.signals.guard_status import GuardState
-from sonoservo.systems.signals.needle_curve import NeedleCurve
-from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
+from sonoservo.systems.robot import Breathing, Move, PhantomMotionParameters
+from sonoservo.systems.robot.errors.sensor_faults import SensorFault, faulty_sample
+from sonoservo.systems.robot.phantom_motion import phantom_trajectory
+from sonoservo.systems.signals import GuardState, NeedleCurve, NeedleEstimate, TrackingMode
 
 STEP, DEFAULT = 0.01, ProbeControllerParameters()
 PHASES = {"approach": 0.3, "landing": 0.85, "pressing": 1.6, "following": 1.6}

@@ -8,8 +8,7 @@ from pydrake.math import RigidTransform
 from scipy.ndimage import gaussian_filter
 from scipy.special import ndtr
 
-from sonoservo.systems.signals.sweep import SweepGeometry, SweepMotion
-from sonoservo.systems.signals.volume import Volume
+from sonoservo.systems.signals import SweepGeometry, SweepMotion, Volume
 
 GEOMETRY = SweepGeometry(
     array_radius=40e-3,

@@ -10,12 +10,11 @@ from commands import sonoservo_here
 from PIL import Image
 from typer.testing import CliRunner
 
+from sonoservo.diagrams import list_scenarios, load_scenario
 from sonoservo.diagrams.app.cli import app
 from sonoservo.diagrams.app.options import free_folder
-from sonoservo.diagrams.experiments.registry import list_scenarios, load_scenario
+from sonoservo.systems.evaluation import RunLog, read_log
 from sonoservo.systems.evaluation.explanation.explained_volume import FOLDER
-from sonoservo.systems.evaluation.log import read_log
-from sonoservo.systems.evaluation.run_log import RunLog
 
 runner = CliRunner()
 

@@ -9,11 +9,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from sonoservo.diagrams import load_scenario, run
+from sonoservo.diagrams import RunResult, drive, load_scenario, run
 from sonoservo.diagrams.app.cli import app
-from sonoservo.diagrams.app.drive import drive
-from sonoservo.diagrams.app.run_result import RunResult
-from sonoservo.systems.display.console.console import Console
+from sonoservo.systems.display import Console
 
 CHEAP = [
     "station.plant.contact_model=point",

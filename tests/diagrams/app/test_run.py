@@ -3,8 +3,7 @@ import json
 import pytest
 from matplotlib.figure import Figure
 
-from sonoservo.diagrams import load_scenario, run
-from sonoservo.diagrams.app.run_result import RunResult
+from sonoservo.diagrams import RunResult, load_scenario, run
 from sonoservo.diagrams.experiments.following_presenter import following_words
 from sonoservo.diagrams.experiments.scenario_changes import base_of, changed_fields
 from sonoservo.diagrams.experiments.shape_prediction_presenter import (

@@ -8,8 +8,8 @@ from commands import sonoservo_here
 from PIL import Image
 from pydrake.math import RigidTransform, RotationMatrix
 
-from sonoservo.diagrams.app.scan import scan, summarize_scan
-from sonoservo.diagrams.experiments.registry import load_scenario
+from sonoservo.diagrams import load_scenario, scan
+from sonoservo.diagrams.app.scan import summarize_scan
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.ultrasound.simulation.anatomy.anatomies import LIVER_LABELS, liver_label_map
 from sonoservo.systems.ultrasound.simulation.anatomy.label_map import write_label_map

@@ -4,8 +4,7 @@ import numpy as np
 from commands import sonoservo_here
 from rerun.chunk import RrdReader
 
-from sonoservo.systems.evaluation.log import read_log
-from sonoservo.systems.evaluation.run_log import RunLog
+from sonoservo.systems.evaluation import RunLog, read_log
 
 
 def test_a_run_and_its_recording_are_written_for_a_viewer(tmp_path):

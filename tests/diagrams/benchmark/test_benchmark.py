@@ -23,9 +23,8 @@ from sonoservo.diagrams.benchmark.report import write_benchmark
 from sonoservo.diagrams.benchmark.scores import judge_sequence, reliability, score
 from sonoservo.diagrams.benchmark.sequence import acquire_sequence, load_suites, sequence_seeds
 from sonoservo.systems.files.refusals import ConfigurationError
-from sonoservo.systems.recording.recording import Recording
-from sonoservo.systems.recording.side_files import read_truth
-from sonoservo.systems.signals.volume import Volume
+from sonoservo.systems.recording import Recording, read_truth
+from sonoservo.systems.signals import Volume
 
 SEED = 107
 

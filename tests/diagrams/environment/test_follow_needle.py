@@ -11,8 +11,9 @@ from gymnasium.utils.env_checker import check_env
 from pydrake.math import RigidTransform
 
 from sonoservo.diagrams import environment
+from sonoservo.diagrams.environment import RewardParameters
 from sonoservo.diagrams.environment.follow_needle import ENVIRONMENT
-from sonoservo.diagrams.environment.reward import ActionScale, RewardParameters, reward_terms
+from sonoservo.diagrams.environment.reward import ActionScale, reward_terms
 from sonoservo.systems.files.refusals import ConfigurationError
 
 CHANGES = (

@@ -5,17 +5,16 @@ import pytest
 from pydrake.common.value import Value
 from pydrake.systems.framework import LeafSystem
 
-from sonoservo.diagrams import load_scenario, make_experiment, run, tracker_events
-from sonoservo.diagrams.app.scan import scan
+from sonoservo.diagrams import load_scenario, make_experiment, run, scan, tracker_events
 from sonoservo.diagrams.experiments.registry import (
     EXPERIMENTS,
     experiment_class,
     presenter_class,
 )
-from sonoservo.diagrams.studies.datasets.dataset import make_dataset
+from sonoservo.diagrams.studies import make_dataset
 from sonoservo.systems.evaluation.log import columns
 from sonoservo.systems.files.refusals import ConfigurationError
-from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
+from sonoservo.systems.signals import NeedleEstimate, TrackingMode
 
 SCENARIOS = {
     "following": ("chatelain2013_fig5", ["duration=1.5", "station.plant.contact_model=point"]),

@@ -9,20 +9,14 @@ from page_clients.console_socket import open_console
 from pydrake.common.value import Value
 from pydrake.systems.framework import LeafSystem
 
-from sonoservo.diagrams import load_scenario, run, tracker_events
-from sonoservo.diagrams.app.scan import scan
-from sonoservo.diagrams.experiments.following import FollowingExperiment
+from sonoservo.diagrams import FollowingExperiment, load_scenario, run, scan, tracker_events
 from sonoservo.diagrams.experiments.following_scene import make_scene
-from sonoservo.systems.display.console.console import Console
+from sonoservo.systems.display import Console
 from sonoservo.systems.files.refusals import ConfigurationError
-from sonoservo.systems.recording.side_files import read_truth
-from sonoservo.systems.robot.phantom_motion import Breathing, PhantomMotionParameters
-from sonoservo.systems.signals.needle_curve import NeedleCurve
-from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
-from sonoservo.systems.ultrasound.simulation.reaction.tissue_reaction import (
-    NeedleDragParameters,
-    TissueReactionParameters,
-)
+from sonoservo.systems.recording import read_truth
+from sonoservo.systems.robot import Breathing, PhantomMotionParameters
+from sonoservo.systems.signals import NeedleCurve, NeedleEstimate, TrackingMode
+from sonoservo.systems.ultrasound.simulation import NeedleDragParameters, TissueReactionParameters
 
 
 def assert_finds_and_follows(summary, x_mm):

@@ -3,17 +3,23 @@
 import numpy as np
 import pytest
 
-from sonoservo.diagrams import FollowingScenario, load_scenario, make_insertion, run
+from sonoservo.diagrams import (
+    FollowingScenario,
+    ProbePlacement,
+    StationParameters,
+    load_scenario,
+    make_insertion,
+    run,
+)
 from sonoservo.diagrams.experiments.following_scene import (
     check_beside_probe,
     check_entry,
     placed_hand,
 )
-from sonoservo.diagrams.station import ProbePlacement, StationParameters
 from sonoservo.systems.files.refusals import ConfigurationError
-from sonoservo.systems.needle.insertion_parameters import InsertionParameters, Push
-from sonoservo.systems.signals.needle_estimate import TrackingMode
-from sonoservo.systems.ultrasound.simulation.tissue import load_tissue
+from sonoservo.systems.needle import InsertionParameters, Push
+from sonoservo.systems.signals import TrackingMode
+from sonoservo.systems.ultrasound.simulation import load_tissue
 
 PUSHES = [Push(duration=8, speed=8e-3)]
 

@@ -12,13 +12,12 @@ from matplotlib.figure import Figure
 from pydrake.systems.framework import LeafSystem
 from typer.testing import CliRunner
 
-from sonoservo.diagrams import load_scenario, run
+from sonoservo.diagrams import Experiment, Scenario, load_scenario, run
 from sonoservo.diagrams.app.cli import app
 from sonoservo.diagrams.experiments import registry
-from sonoservo.diagrams.experiments.experiment import Experiment
 from sonoservo.diagrams.experiments.presenter import Presenter
-from sonoservo.diagrams.scenario import Scenario
-from sonoservo.systems.evaluation.log import Array, Log, column, read_log
+from sonoservo.systems.evaluation import read_log
+from sonoservo.systems.evaluation.log import Array, Log, column
 
 
 @dataclass(kw_only=True)

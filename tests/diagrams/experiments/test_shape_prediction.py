@@ -3,16 +3,12 @@ import json
 import numpy as np
 import pytest
 
-from sonoservo.diagrams import load_scenario, make_experiment, run
+from sonoservo.diagrams import estimate_shape, load_scenario, make_experiment, run
 from sonoservo.diagrams.experiments.shape_prediction_scenario import ESTIMATORS
-from sonoservo.diagrams.shape_predictor import estimate_shape, predict_from_slices
-from sonoservo.systems.evaluation.log import read_log
-from sonoservo.systems.evaluation.shape.shape_metrics import (
-    ShapeLog,
-    cross_section_errors,
-    prediction,
-)
-from sonoservo.systems.signals.needle_shape import NeedleShape
+from sonoservo.diagrams.shape_predictor import predict_from_slices
+from sonoservo.systems.evaluation import ShapeLog, read_log
+from sonoservo.systems.evaluation.shape.shape_metrics import cross_section_errors, prediction
+from sonoservo.systems.signals import NeedleShape
 
 SHORT = ["depth=0.04", "rotations=[0.025]", "observe_until=0.025", "step=1e-3"]
 # A needle that shows at every angle.

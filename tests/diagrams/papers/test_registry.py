@@ -1,7 +1,7 @@
 import pytest
 
 from sonoservo.diagrams.papers import registry
-from sonoservo.diagrams.studies.study import StudyOptions
+from sonoservo.diagrams.studies import StudyOptions
 from sonoservo.systems.files.refusals import ConfigurationError
 
 

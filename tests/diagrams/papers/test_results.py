@@ -7,10 +7,8 @@ from types import SimpleNamespace
 import pytest
 
 from sonoservo.diagrams.papers import results
-from sonoservo.diagrams.studies import records
+from sonoservo.diagrams.studies import Case, Outcome, Study, StudyRow, records
 from sonoservo.diagrams.studies.fingerprint import made_by
-from sonoservo.diagrams.studies.study import Case, Outcome
-from sonoservo.diagrams.studies.study_report import Study, StudyRow
 from sonoservo.systems.files.refusals import ConfigurationError
 
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from sonoservo.diagrams.studies.store import Store
+from sonoservo.diagrams.studies import Store
 
 
 @pytest.fixture(params=["folder", "file", "memory"])

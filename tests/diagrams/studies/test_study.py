@@ -13,11 +13,10 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from sonoservo.diagrams.studies import fingerprint, runs
+from sonoservo.diagrams.studies import Case, Outcome, StudyOptions, fingerprint, run_cases, runs
 from sonoservo.diagrams.studies.fingerprint import code_fingerprint, made_by
 from sonoservo.diagrams.studies.processes import FinishedOnly, Processes
-from sonoservo.diagrams.studies.runs import StudyProgress, run_cases, run_study
-from sonoservo.diagrams.studies.study import Case, Outcome, StudyOptions
+from sonoservo.diagrams.studies.runs import StudyProgress, run_study
 from sonoservo.systems.files.refusals import ConfigurationError
 
 

@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 from synthetic_logs import build_log
 
-from sonoservo.systems.evaluation.metrics import missing_needle, summarize
-from sonoservo.systems.signals.search_reason import ReasonCount
+from sonoservo.systems.evaluation import summarize
+from sonoservo.systems.evaluation.metrics import missing_needle
+from sonoservo.systems.signals import ReasonCount
 
 
 def test_the_whole_summary_is_json(insertion_log, make_log):

@@ -9,17 +9,15 @@ from synthetic_logs import build_log
 from synthetic_volumes import GEOMETRY
 
 from sonoservo.diagrams.studies.robustness.runs import as_in_probe
-from sonoservo.systems.evaluation.metrics import summarize
+from sonoservo.systems.evaluation import estimate_errors, features, summarize
 from sonoservo.systems.evaluation.run_errors import (
     consistency,
     curve_deviations,
     deviation,
-    estimate_errors,
-    features,
     inside_stated,
     needle_speed,
 )
-from sonoservo.systems.signals.needle_curve import NeedleCurve
+from sonoservo.systems.signals import NeedleCurve
 
 coordinate = st.floats(-0.2, 0.2)
 point = st.tuples(coordinate, coordinate, coordinate)

@@ -5,16 +5,9 @@ import numpy as np
 import pytest
 
 from sonoservo.systems import evaluation
+from sonoservo.systems.evaluation import RunLog, ShapeLog, read_log
 from sonoservo.systems.evaluation.explanation.explained_volume import ExplainedVolume
-from sonoservo.systems.evaluation.log import (
-    FORMAT,
-    column_table,
-    columns,
-    read_log,
-    write_log,
-)
-from sonoservo.systems.evaluation.run_log import RunLog
-from sonoservo.systems.evaluation.shape.shape_metrics import ShapeLog
+from sonoservo.systems.evaluation.log import FORMAT, column_table, columns, write_log
 
 
 def test_a_log_survives_its_file(tmp_path, insertion_log, make_log):

@@ -6,15 +6,22 @@ from pydrake.multibody.math import SpatialForce
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 
-from sonoservo.systems.evaluation.run_logger import RunLogger, visible_length
-from sonoservo.systems.signals.guard_status import GuardState, GuardStatus
-from sonoservo.systems.signals.immutable import NotFound
-from sonoservo.systems.signals.needle import Needle
-from sonoservo.systems.signals.needle_curve import NeedleCurve
-from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
-from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
-from sonoservo.systems.signals.sweep import MotionRecord, SweepGeometry, SweepMotion
-from sonoservo.systems.signals.volume import VolumeCheck
+from sonoservo.systems.evaluation import RunLogger
+from sonoservo.systems.evaluation.run_logger import visible_length
+from sonoservo.systems.signals import (
+    GuardState,
+    GuardStatus,
+    MotionRecord,
+    Needle,
+    NeedleCurve,
+    NeedleEstimate,
+    NeedleMeasurement,
+    NotFound,
+    SweepGeometry,
+    SweepMotion,
+    TrackingMode,
+    VolumeCheck,
+)
 
 X_WP = RigidTransform(RollPitchYaw(0.1, 0.2, 0.3), [0.4, 0.5, 0.6])
 X_WT = RigidTransform(RollPitchYaw(0.0, 0.0, 0.5), [0.1, 0.2, 0.3])

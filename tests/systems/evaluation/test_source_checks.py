@@ -17,8 +17,7 @@ from sonoservo.systems.evaluation.source_checks import (
     gravest,
     sweep_delay,
 )
-from sonoservo.systems.signals.immutable import NotFound
-from sonoservo.systems.signals.volume import Volume
+from sonoservo.systems.signals import NotFound, Volume
 from sonoservo.systems.ultrasound.frame_reconstruction import PosedFrame
 
 RNG = np.random.default_rng(100)

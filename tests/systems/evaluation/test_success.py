@@ -3,7 +3,7 @@ import pytest
 from pydrake.math import RigidTransform
 
 from sonoservo.systems.evaluation.success import conspicuous_length
-from sonoservo.systems.signals.volume import Volume
+from sonoservo.systems.signals import Volume
 
 DB = 0.25
 """Decibels of a grey level of these volumes."""

@@ -5,7 +5,7 @@ import pytest
 
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.typed_yaml import apply_changes, load_typed, read_yaml
-from sonoservo.systems.signals.requirements import require_positive
+from sonoservo.systems.signals import require_positive
 
 
 @dataclass(kw_only=True)

@@ -8,13 +8,11 @@ import threading
 import numpy as np
 from live_items import X, make_estimate, make_volume, wait_until
 
-from sonoservo.systems.live.connection.address import parse_address
+from sonoservo.systems.live import Link, LiveSource, NeedleNames, parse_address
 from sonoservo.systems.live.connection.framing import pack_frame
 from sonoservo.systems.live.connection.items import ImageItem, PoseItem, TextItem
-from sonoservo.systems.live.connection.link import Link
 from sonoservo.systems.live.connection.open_igt_link import encode
-from sonoservo.systems.live.feeds import NeedleNames, needle_items, volume_items
-from sonoservo.systems.live.live_source import LiveSource
+from sonoservo.systems.live.feeds import needle_items, volume_items
 
 SOUND = [
     *(encode(item) for item in volume_items(make_volume(5.0))),

@@ -26,7 +26,7 @@ from sonoservo.diagrams.app.options import Reading
 from sonoservo.diagrams.app.volumes.check import check_file
 from sonoservo.diagrams.app.volumes.opening import open_volumes
 from sonoservo.systems.files.refusals import ConfigurationError
-from sonoservo.systems.recording.recording import Recording
+from sonoservo.systems.recording import Recording
 from sonoservo.systems.recording.tracked_frames import TrackedFrames
 from sonoservo.systems.recording.zea import ZeaWriter
 

@@ -8,7 +8,7 @@ import pytest
 from recordings import tracked, write_meta_image, write_sequence_nrrd
 
 from sonoservo.systems.files.refusals import ConfigurationError
-from sonoservo.systems.recording.recording import Recording
+from sonoservo.systems.recording import Recording
 
 SHAPE = (6, 8, 5)
 RNG = np.random.default_rng(0)

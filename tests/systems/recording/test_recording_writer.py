@@ -16,15 +16,15 @@ from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.systems.analysis import Simulator
 from synthetic_volumes import Scene
 
-from sonoservo.systems.recording.recording import Recording
-from sonoservo.systems.recording.recording_writer import RecordingWriter
-from sonoservo.systems.recording.side_files import TRUTH, read_truth, side_path
-from sonoservo.systems.recording.volume_player import VolumePlayer
-from sonoservo.systems.recording.volume_recorder import VolumeRecorder
-from sonoservo.systems.signals.immutable import NotFound
-from sonoservo.systems.signals.needle import Needle
-from sonoservo.systems.signals.point_spread import PointSpread
-from sonoservo.systems.signals.volume import Volume
+from sonoservo.systems.recording import (
+    Recording,
+    RecordingWriter,
+    VolumePlayer,
+    VolumeRecorder,
+    read_truth,
+)
+from sonoservo.systems.recording.side_files import TRUTH, side_path
+from sonoservo.systems.signals import Needle, NotFound, PointSpread, Volume
 
 SCENE = Scene(seed=1, spacing=2e-3)
 

@@ -17,8 +17,7 @@ from sonoservo.systems.files.nrrd_reader import KEYS
 from sonoservo.systems.files.plus_fields import FRAME_FIELDS, SEQUENCE_FIELDS
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.volume_file import FieldUse
-from sonoservo.systems.recording import meta_image
-from sonoservo.systems.recording.recording import Recording
+from sonoservo.systems.recording import Recording, meta_image
 from sonoservo.systems.recording.tracked_frames import TrackedFrames
 
 SHAPE = (5, 4, 3)

@@ -11,8 +11,8 @@ from tracked_frames import freehand, write_plus_file
 from sonoservo.diagrams.app.options import ReadingFrames
 from sonoservo.diagrams.app.volumes.opening import open_volumes
 from sonoservo.systems.files.refusals import ConfigurationError
+from sonoservo.systems.recording import Recording
 from sonoservo.systems.recording.plus_configuration import read_calibration, read_plus_configuration
-from sonoservo.systems.recording.recording import Recording
 from sonoservo.systems.recording.tracked_frames import TrackedFrames
 from sonoservo.systems.recording.transform_chain import find_chain
 

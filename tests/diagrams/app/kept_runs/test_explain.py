@@ -10,10 +10,11 @@ from typer.testing import CliRunner
 from sonoservo.diagrams import load_scenario, run, track_recording
 from sonoservo.diagrams.app.cli import app
 from sonoservo.diagrams.app.kept_runs.explain import explanation_table, read_explained_run
-from sonoservo.systems.evaluation.explanation.explained_volume import FOLDER, read_explanations
+from sonoservo.systems.evaluation import read_explanations
+from sonoservo.systems.evaluation.explanation.explained_volume import FOLDER
 from sonoservo.systems.evaluation.log import columns
 from sonoservo.systems.files.refusals import ConfigurationError
-from sonoservo.systems.recording.recording import Recording
+from sonoservo.systems.recording import Recording
 
 CHANGES = [
     "duration=5.8",

@@ -16,19 +16,14 @@ from sonoservo.systems.control.controller_schedule import (
     ControllerSchedule,
     ControllerSettings,
 )
-from sonoservo.systems.display.console.console import Console, picture_volume
+from sonoservo.systems.display import Console
+from sonoservo.systems.display.console.console import picture_volume
+from sonoservo.systems.evaluation import RunLog, picture_planes, read_pictures, summarize
 from sonoservo.systems.evaluation.log import columns, write_log
-from sonoservo.systems.evaluation.metrics import summarize
-from sonoservo.systems.evaluation.reports.track_plots import (
-    picture_planes,
-    read_pictures,
-    write_pictures,
-)
-from sonoservo.systems.evaluation.run_log import RunLog
+from sonoservo.systems.evaluation.reports.track_plots import write_pictures
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.writing import write_atomically, write_json
-from sonoservo.systems.signals.needle_curve import NeedleCurve
-from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
+from sonoservo.systems.signals import NeedleCurve, NeedleEstimate, TrackingMode
 
 ENTRY = entry_on_side()
 TIP = ENTRY + np.array([0.045, 0.010, 0.004])

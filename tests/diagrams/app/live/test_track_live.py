@@ -11,23 +11,19 @@ from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.systems.primitives import Gain
 from synthetic_volumes import Scene, entry_on_side
 
-from sonoservo.diagrams import load_scenario, run, track_recording
+from sonoservo.diagrams import load_scenario, run, track_recording, tracker_parameters
 from sonoservo.diagrams.app.cli import run_arguments
 from sonoservo.diagrams.app.live.bridge import play_live, record_live
 from sonoservo.diagrams.app.live.serve import live_senders, needle_names
 from sonoservo.diagrams.app.live.track_live import live_volumes, track_live
 from sonoservo.diagrams.app.options import LiveLimits
-from sonoservo.diagrams.app.volumes.track import tracker_parameters
 from sonoservo.systems.files.refusals import ConfigurationError
-from sonoservo.systems.live.connection.address import parse_address
+from sonoservo.systems.live import Link, LiveSource, MotorSweepParameters, parse_address
 from sonoservo.systems.live.connection.items import ImageItem, StatusItem
-from sonoservo.systems.live.connection.link import Link
 from sonoservo.systems.live.feeds import volume_items
 from sonoservo.systems.live.image_matcher import ImageMatcher
-from sonoservo.systems.live.live_source import LiveSource
-from sonoservo.systems.live.motor_sweep import MotorSweepParameters, MotorSweepVolumes
-from sonoservo.systems.recording.recording import Recording
-from sonoservo.systems.recording.recording_writer import RecordingWriter
+from sonoservo.systems.live.motor_sweep import MotorSweepVolumes
+from sonoservo.systems.recording import Recording, RecordingWriter
 from sonoservo.systems.recording.side_files import ACQUISITION, side_path
 
 COUNT = 10

@@ -9,9 +9,9 @@ from pydrake.math import RigidTransform
 from recordings import write_sequence_nrrd
 from still_tissue import LyingProbe
 
-from sonoservo.diagrams import MakeNeedleTracker, track_recording
-from sonoservo.diagrams.tracker_bench import Sample, TrackerBench
-from sonoservo.systems.recording.recording import Recording
+from sonoservo.diagrams import MakeNeedleTracker, TrackerBench, track_recording
+from sonoservo.diagrams.tracker_bench import Sample
+from sonoservo.systems.recording import Recording
 
 LYING = LyingProbe(delay=0.06, X_PI=RigidTransform([1e-3, 0.0, 1e-3]))
 

@@ -13,10 +13,9 @@ from tracked_frames import freehand, write_plus_file
 from sonoservo.diagrams.app.cli import run_arguments
 from sonoservo.diagrams.app.volumes.check import check_file, check_stream
 from sonoservo.systems.evaluation.source_checks import Check, Grade
-from sonoservo.systems.live.connection.address import parse_address
+from sonoservo.systems.live import Link, parse_address
 from sonoservo.systems.live.connection.items import ImageItem, PoseItem
-from sonoservo.systems.live.connection.link import Link
-from sonoservo.systems.recording.nrrd import write_volume
+from sonoservo.systems.recording import write_volume
 
 
 def found(checked, check):

@@ -11,11 +11,10 @@ from pydrake.math import RollPitchYaw
 from random_scans import random_scan
 from scipy.ndimage import map_coordinates
 
-from sonoservo.diagrams import locate
-from sonoservo.diagrams.app.volumes.locate import locate_in, locate_in_recording
+from sonoservo.diagrams import locate, locate_in
+from sonoservo.diagrams.app.volumes.locate import locate_in_recording
 from sonoservo.systems.files.refusals import ConfigurationError
-from sonoservo.systems.recording.nrrd import write_volume
-from sonoservo.systems.recording.recording import Recording
+from sonoservo.systems.recording import Recording, write_volume
 
 
 def judge(seeds):

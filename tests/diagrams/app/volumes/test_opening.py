@@ -8,10 +8,9 @@ from pydrake.math import RigidTransform, RollPitchYaw
 from synthetic_volumes import Scene, entry_on_side
 from tracked_frames import freehand, write_plus_file
 
-from sonoservo.diagrams import track_recording
+from sonoservo.diagrams import track_recording, tracker_parameters
 from sonoservo.diagrams.app.cli import run_arguments
 from sonoservo.diagrams.app.volumes.opening import ReconstructedRecording
-from sonoservo.diagrams.app.volumes.track import tracker_parameters
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.ultrasound.frame_reconstruction import PosedFrame
 

@@ -13,16 +13,14 @@ from pydrake.systems.framework import LeafSystem
 from recordings import tracked, write_meta_image, write_sequence_nrrd
 from synthetic_volumes import Scene, entry_on_side
 
-from sonoservo.diagrams import load_scenario, run, track, track_recording
-from sonoservo.diagrams.app.volumes.track import tracker_parameters
+from sonoservo.diagrams import load_scenario, run, track, track_recording, tracker_parameters
 from sonoservo.diagrams.benchmark.estimates import OPTIONAL, REQUIRED
+from sonoservo.diagrams.trackers import TrackerParameters
 from sonoservo.diagrams.trackers.registry import TRACKERS
-from sonoservo.diagrams.trackers.tracker_parts import TrackerParameters
 from sonoservo.systems.files.refusals import ConfigurationError
-from sonoservo.systems.recording.recording import Recording
-from sonoservo.systems.recording.recording_writer import RecordingWriter
-from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
-from sonoservo.systems.ultrasound.scan_conversion import ScanConversion, make_grid
+from sonoservo.systems.recording import Recording, RecordingWriter
+from sonoservo.systems.signals import NeedleEstimate, TrackingMode
+from sonoservo.systems.ultrasound import ScanConversion, make_grid
 
 
 @pytest.fixture(scope="module")

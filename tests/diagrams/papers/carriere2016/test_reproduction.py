@@ -9,8 +9,7 @@ from sonoservo.diagrams.papers.carriere2016.protocols import LESSONS, PROTOCOLS,
 from sonoservo.diagrams.papers.carriere2016.report import PAPER, set_rows, sweep_rows
 from sonoservo.diagrams.papers.carriere2016.reproduction import reproduce
 from sonoservo.diagrams.papers.carriere2016.runs import AS_PUBLISHED, TAUGHT, run_needle
-from sonoservo.diagrams.studies.study import Case, Outcome, StudyOptions
-from sonoservo.diagrams.studies.study_report import write_study
+from sonoservo.diagrams.studies import Case, Outcome, StudyOptions, write_study
 
 SHORT = ["depth=0.03", "rotations=[0.02]", "observe_until=0.02", "step=1.5e-3"]
 SHORT += ["imaging.sector=0.4", "particle_filter.particles=150", "published.particles=150"]

@@ -5,8 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from sonoservo.diagrams import load_scenario
-from sonoservo.diagrams.experiments.following_scene import make_insertion
+from sonoservo.diagrams import load_scenario, make_insertion
 from sonoservo.diagrams.papers.chatelain2013 import reproduction as chatelain2013
 from sonoservo.diagrams.papers.chatelain2013.reproduction import (
     ABLATIONS,
@@ -15,10 +14,9 @@ from sonoservo.diagrams.papers.chatelain2013.reproduction import (
     bent_insertion,
     study_cases,
 )
+from sonoservo.diagrams.studies import StudyOptions, write_study
 from sonoservo.diagrams.studies.following.analysis import AS_PUBLISHED, load_case
-from sonoservo.diagrams.studies.study import StudyOptions
-from sonoservo.diagrams.studies.study_report import write_study
-from sonoservo.systems.needle.insertion import Insertion
+from sonoservo.systems.needle import Insertion
 
 
 @pytest.mark.parametrize("seed", [0, 7, 18])

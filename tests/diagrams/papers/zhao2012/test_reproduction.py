@@ -11,10 +11,8 @@ from sonoservo.diagrams.papers.zhao2012.phantom import DIRECTION, Phantom, Strai
 from sonoservo.diagrams.papers.zhao2012.published_tracking import with_input
 from sonoservo.diagrams.papers.zhao2012.report import report
 from sonoservo.diagrams.papers.zhao2012.runs import ESTIMATORS, QUANTITIES, SPEEDOMETERS, run_case
-from sonoservo.diagrams.studies.study import Case, Outcome, StudyOptions
-from sonoservo.diagrams.studies.study_report import Study, write_study
-from sonoservo.systems.signals.needle_curve import NeedleCurve
-from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
+from sonoservo.diagrams.studies import Case, Outcome, Study, StudyOptions, write_study
+from sonoservo.systems.signals import NeedleCurve, NeedleMeasurement
 from sonoservo.systems.tracking.axis_tip_filter import AxisTipFilter
 
 

@@ -18,11 +18,8 @@ from clusters.cases import calculate, count, end_process, wait_once
 from clusters.processes import DaskProcesses
 from distributed import Client
 
+from sonoservo.diagrams.studies import Case, Store, open_cluster, run_cases
 from sonoservo.diagrams.studies.cluster.cluster import Cluster
-from sonoservo.diagrams.studies.cluster.opening import open_cluster
-from sonoservo.diagrams.studies.runs import run_cases
-from sonoservo.diagrams.studies.store import Store
-from sonoservo.diagrams.studies.study import Case
 from sonoservo.systems.files.refusals import ConfigurationError
 
 

@@ -7,9 +7,8 @@ import pytest
 from clusters.cases import calculate
 from clusters.processes import HELPERS
 
-from sonoservo.diagrams.studies.cluster.opening import open_cluster, read_job_queue
-from sonoservo.diagrams.studies.runs import run_cases
-from sonoservo.diagrams.studies.study import Case
+from sonoservo.diagrams.studies import Case, open_cluster, run_cases
+from sonoservo.diagrams.studies.cluster.opening import read_job_queue
 from sonoservo.systems.files.refusals import ConfigurationError
 
 SLURM = """

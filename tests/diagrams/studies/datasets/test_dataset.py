@@ -11,13 +11,11 @@ import SimpleITK
 from pydrake.math import RigidTransform
 
 from sonoservo.diagrams import load_scenario
-from sonoservo.diagrams.studies.datasets.dataset import make_dataset
+from sonoservo.diagrams.studies import Store, make_dataset
 from sonoservo.diagrams.studies.datasets.dataset_sequence import needle_mask, write_layout
-from sonoservo.diagrams.studies.store import Store
 from sonoservo.systems.files.refusals import ConfigurationError
-from sonoservo.systems.recording.recording import Recording
-from sonoservo.systems.signals.needle import Needle
-from sonoservo.systems.signals.volume import Volume
+from sonoservo.systems.recording import Recording
+from sonoservo.systems.signals import Needle, Volume
 
 
 @pytest.fixture(scope="module")

@@ -10,9 +10,8 @@ from sonoservo.diagrams import load_scenario
 from sonoservo.diagrams.dials import load_dials
 from sonoservo.diagrams.studies.datasets.dataset_draws import draw_dials
 from sonoservo.diagrams.studies.datasets.dataset_sequence import needle_as_imaged
-from sonoservo.systems.signals.needle import Needle
-from sonoservo.systems.ultrasound.imaging import ImagingParameters, sweep_geometry
-from sonoservo.systems.ultrasound.transducer import load_transducer
+from sonoservo.systems.signals import Needle
+from sonoservo.systems.ultrasound import ImagingParameters, load_transducer, sweep_geometry
 
 SEEN = {
     "structure beside the needle", "faint needle", "fading needle", "dip", "speed", "drag",

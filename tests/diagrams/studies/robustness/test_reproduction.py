@@ -9,10 +9,9 @@ from pydrake.common.value import Value
 from pydrake.math import RigidTransform, RotationMatrix
 from synthetic_logs import build_insertion_log
 
-from sonoservo.diagrams import load_scenario
-from sonoservo.diagrams.experiments.following_scene import make_insertion
+from sonoservo.diagrams import load_scenario, make_insertion
 from sonoservo.diagrams.papers import results
-from sonoservo.diagrams.studies import records, run_group
+from sonoservo.diagrams.studies import Case, Outcome, StudyOptions, records, run_group, write_study
 from sonoservo.diagrams.studies.robustness import reproduction
 from sonoservo.diagrams.studies.robustness.analysis import Group, Record, threshold
 from sonoservo.diagrams.studies.robustness.planned_motion import MotionPlan
@@ -29,12 +28,9 @@ from sonoservo.diagrams.studies.robustness.runs import (
     turned,
 )
 from sonoservo.diagrams.studies.robustness.search_path import SearchPath
-from sonoservo.diagrams.studies.study import Case, Outcome, StudyOptions
-from sonoservo.diagrams.studies.study_report import write_study
 from sonoservo.systems.evaluation.success import judged_errors
-from sonoservo.systems.signals.needle_curve import NeedleCurve
-from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
-from sonoservo.systems.ultrasound.simulation.tissue import load_tissue
+from sonoservo.systems.signals import NeedleCurve, NeedleEstimate, TrackingMode
+from sonoservo.systems.ultrasound.simulation import load_tissue
 
 FIG5 = {"scenario": "chatelain2013_fig5"}
 

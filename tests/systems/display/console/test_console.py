@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from page_clients.console_socket import open_console, pull_console
 
+from sonoservo.systems.display import Console
 from sonoservo.systems.display.console import console as console_module
-from sonoservo.systems.display.console.console import Console
 from sonoservo.systems.display.console.controls import controller_controls
 from sonoservo.systems.display.console.readings import Sample
 

@@ -5,13 +5,17 @@ from pydrake.math import RigidTransform
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import PortDataType
 
-from sonoservo.systems.display.console.console_feed import ConsoleFeed
-from sonoservo.systems.signals.guard_status import GuardState, GuardStatus
-from sonoservo.systems.signals.immutable import NotFound
-from sonoservo.systems.signals.line_hypotheses import LineHypotheses
-from sonoservo.systems.signals.needle import Needle
-from sonoservo.systems.signals.needle_curve import NeedleCurve
-from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
+from sonoservo.systems.display import ConsoleFeed
+from sonoservo.systems.signals import (
+    GuardState,
+    GuardStatus,
+    LineHypotheses,
+    Needle,
+    NeedleCurve,
+    NeedleEstimate,
+    NotFound,
+    TrackingMode,
+)
 
 SEARCHING = NeedleEstimate(TrackingMode.SEARCHING, 0.0)
 

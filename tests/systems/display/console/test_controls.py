@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from pydrake.systems.analysis import Simulator
 
+from sonoservo.systems.display import OperatorPanel
 from sonoservo.systems.display.console.controls import (
     Controls,
-    OperatorPanel,
     controller_controls,
     operator_controls,
 )

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from sonoservo.systems.display.console.slices import beside, slice_pictures, slice_views
-from sonoservo.systems.signals.line_hypotheses import LineHypotheses
-from sonoservo.systems.signals.needle_curve import NeedleCurve
+from sonoservo.systems.display import slice_views
+from sonoservo.systems.display.console.slices import beside, slice_pictures
+from sonoservo.systems.signals import LineHypotheses, NeedleCurve
 
 ENTRY, TIP = np.array([-0.03, 0.03, -0.02]), np.array([0.01, 0.05, 0.01])
 

@@ -11,9 +11,9 @@ from page_clients.web_request import get, post
 from PIL import Image
 from pydrake.math import RigidTransform
 
+from sonoservo.systems.display import Site
 from sonoservo.systems.display.pages.click_page import ClickPage
-from sonoservo.systems.display.pages.site import Site
-from sonoservo.systems.signals.image_slice import ImageSlice
+from sonoservo.systems.signals import ImageSlice
 
 ORIGIN, SPACING = [-0.01, 0.002], [0.4e-3, 0.2e-3]
 """Element [0, 0] of a slice of 51 x 101 elements: x from -10 to 10 mm, depth from 2 to 22 mm."""

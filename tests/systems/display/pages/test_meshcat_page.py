@@ -20,9 +20,8 @@ from page_clients.page_socket import (
     send_frame,
 )
 
+from sonoservo.systems.display import Site, open_meshcat
 from sonoservo.systems.display.pages import meshcat_page
-from sonoservo.systems.display.pages.meshcat_page import open_meshcat
-from sonoservo.systems.display.pages.site import Site
 
 PATIENCE = 1.0
 

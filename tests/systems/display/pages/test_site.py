@@ -7,7 +7,8 @@ from page_clients.page_socket import open_socket
 from page_clients.web_request import get
 from tornado.websocket import WebSocketHandler
 
-from sonoservo.systems.display.pages.site import Access, Document, Guarded, Site
+from sonoservo.systems.display import Site
+from sonoservo.systems.display.pages.site import Access, Document, Guarded
 
 
 class Echo(Guarded, WebSocketHandler):

@@ -15,6 +15,7 @@ from explanations import (
 from pydrake.math import RigidTransform, RollPitchYaw
 from synthetic_logs import build_log
 
+from sonoservo.systems.evaluation import read_explanations
 from sonoservo.systems.evaluation.explanation.explained_volume import (
     FOLDER,
     clear_explanations,
@@ -22,13 +23,10 @@ from sonoservo.systems.evaluation.explanation.explained_volume import (
     explain_volume,
     find_occasion,
     imaged_needle,
-    read_explanations,
     write_explanation,
 )
 from sonoservo.systems.evaluation.log import columns
-from sonoservo.systems.signals.immutable import NotFound
-from sonoservo.systems.signals.localization_explanation import LocalizationExplanation
-from sonoservo.systems.signals.needle_estimate import TrackingMode
+from sonoservo.systems.signals import LocalizationExplanation, NotFound, TrackingMode
 
 TRACKING, COASTING = TrackingMode.TRACKING, TrackingMode.COASTING
 SEARCHING, LOST = TrackingMode.SEARCHING, TrackingMode.LOST

@@ -2,13 +2,9 @@ from explanations import empty_look, estimate, small_volume
 from pydrake.common.value import Value
 from pydrake.systems.analysis import Simulator
 
-from sonoservo.systems.evaluation.explanation.explained_volume import (
-    FOLDER,
-    ExplanationRecorder,
-    read_explanations,
-)
-from sonoservo.systems.signals.immutable import NotFound
-from sonoservo.systems.signals.needle_estimate import TrackingMode
+from sonoservo.systems.evaluation import ExplanationRecorder, read_explanations
+from sonoservo.systems.evaluation.explanation.explained_volume import FOLDER
+from sonoservo.systems.signals import NotFound, TrackingMode
 
 TRACKING, COASTING = TrackingMode.TRACKING, TrackingMode.COASTING
 SEARCHING = TrackingMode.SEARCHING

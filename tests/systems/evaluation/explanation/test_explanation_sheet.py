@@ -6,10 +6,10 @@ from explanations import NEEDLE, SCENE, empty_look, estimate, explained, predict
 from matplotlib.patches import Ellipse
 from scipy.stats import chi2
 
+from sonoservo.systems.evaluation import plot_explanation
 from sonoservo.systems.evaluation.explanation.explained_volume import explain_volume
-from sonoservo.systems.evaluation.explanation.explanation_sheet import describe, plot_explanation
-from sonoservo.systems.signals.immutable import NotFound
-from sonoservo.systems.signals.needle_estimate import TrackingMode
+from sonoservo.systems.evaluation.explanation.explanation_sheet import describe
+from sonoservo.systems.signals import NotFound, TrackingMode
 
 
 def line(axes, label):

@@ -5,8 +5,8 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from sonoservo.systems.evaluation.metrics import summarize
-from sonoservo.systems.evaluation.reports.plots import plot_errors, plot_run, png
+from sonoservo.systems.evaluation import plot_errors, plot_run, summarize
+from sonoservo.systems.evaluation.reports.plots import png
 from sonoservo.systems.evaluation.reports.report import Change, Story, report_page
 from sonoservo.systems.evaluation.reports.verdict import following_verdict
 

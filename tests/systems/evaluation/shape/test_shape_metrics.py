@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 from pydrake.math import RigidTransform
 
-from sonoservo.systems.evaluation.log import read_log, write_log
+from sonoservo.systems.evaluation import ShapeLog, read_log
+from sonoservo.systems.evaluation.log import write_log
 from sonoservo.systems.evaluation.shape.shape_metrics import (
-    ShapeLog,
     TrueBend,
     cross_section_errors,
     deflection_bound,
@@ -14,7 +14,7 @@ from sonoservo.systems.evaluation.shape.shape_metrics import (
     summarize_shape,
     tracked_to_the_end,
 )
-from sonoservo.systems.signals.needle_shape import NeedleShape
+from sonoservo.systems.signals import NeedleShape
 
 DEPTH = np.linspace(0, 0.1, 101)
 

@@ -9,13 +9,11 @@ from live_items import X, make_volume, wait_until
 from openigtlink import free_port
 
 from sonoservo.systems.files.refusals import ConfigurationError
+from sonoservo.systems.live import Link, LiveSource, parse_address
 from sonoservo.systems.live.connection import framing, link
-from sonoservo.systems.live.connection.address import parse_address
 from sonoservo.systems.live.connection.items import PoseItem, TextItem
-from sonoservo.systems.live.connection.link import Link
 from sonoservo.systems.live.connection.open_igt_link import encode
 from sonoservo.systems.live.feeds import volume_items
-from sonoservo.systems.live.live_source import LiveSource
 
 
 class Ear:

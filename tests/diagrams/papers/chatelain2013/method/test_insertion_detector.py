@@ -6,9 +6,8 @@ from synthetic_volumes import Scene, entry_on_side
 
 from sonoservo.diagrams.papers.chatelain2013.method.detection import PublishedDetectionParameters
 from sonoservo.diagrams.papers.chatelain2013.method.insertion_detector import InsertionDetector
-from sonoservo.systems.signals.immutable import NotFound
-from sonoservo.systems.signals.volume import Volume
-from sonoservo.systems.tracking.volume_memory import VolumeMemory
+from sonoservo.systems.signals import NotFound, Volume
+from sonoservo.systems.tracking import VolumeMemory
 
 ENTRY = entry_on_side()
 INWARD = np.array([1, 0.2, 0.1]) / np.linalg.norm([1, 0.2, 0.1])

@@ -11,9 +11,7 @@ from sonoservo.diagrams.papers.chatelain2013.method.localization import (
     principal_axis,
     relative_sagitta,
 )
-from sonoservo.systems.signals.immutable import NotFound
-from sonoservo.systems.signals.needle_curve import NeedleCurve
-from sonoservo.systems.signals.needle_prediction import NeedlePrediction
+from sonoservo.systems.signals import NeedleCurve, NeedlePrediction, NotFound
 from sonoservo.systems.tracking.axis import axis_through
 
 SCENE = Scene(seed=5, spacing=1.0e-3, balls=[([0.01, 0.06, 0.03], 2e-3)])

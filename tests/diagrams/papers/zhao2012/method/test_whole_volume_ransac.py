@@ -10,9 +10,8 @@ from sonoservo.diagrams.papers.zhao2012.method.whole_volume_ransac import (
     WholeVolumeRansacParameters,
     localize_in_whole_volume,
 )
-from sonoservo.systems.signals.volume import Volume
-from sonoservo.systems.tracking.ransac import RansacParameters
-from sonoservo.systems.tracking.tip import TipParameters
+from sonoservo.systems.signals import Volume
+from sonoservo.systems.tracking import RansacParameters, TipParameters
 
 SPACING = 0.4e-3
 X_WP = RigidTransform(RotationMatrix.MakeXRotation(-1.2), [0.1, 0.0, 0.2])
