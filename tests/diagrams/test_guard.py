@@ -11,7 +11,6 @@ from fault_runs import (
     FaultLoop,
     changed,
     draw_case,
-    fault_table,
     rise,
     run_faults,
 )
@@ -114,14 +113,14 @@ def test_each_row_of_the_page_is_what_happens(loops, name):
     noticed, reaction, peak, _ = page_rows()[name]
     result = loops[ROWS[name].alone].run(ROWS[name])
     for words in re.findall(r"\*(.+?)\*", noticed):
-        assert any(words in each for each in result.reasons), fault_table([result])
+        assert any(words in each for each in result.reasons), result
     assert bool(result.reasons) == ("*" in noticed)
     assert result.peak == pytest.approx(float(peak), abs=0.75)
     assert ("goes on" in reaction) == result.recovered
     if name.startswith("both"):
         assert result.longest_above == pytest.approx(1.0, abs=0.15)
     else:
-        assert not result.faults, fault_table([result])
+        assert not result.faults, result
 
 
 def test_an_arm_without_torques_may_not_press_hard(tmp_path):
@@ -150,21 +149,15 @@ def test_without_the_guard_the_force_is_not_held():
 def test_the_guard_holds_at_the_ends_of_its_own_parameters(end):
     ends = changed({"guards": {name: values[end] for name, values in GUARDS.items()}})
     (result,) = run_faults([FaultCase(faults=(fault("nan"),), motion=UP, controller=ends)])
-    assert not result.faults, fault_table([result])
+    assert not result.faults, result
 
 
-def test_faults_that_a_seed_draws():
-    results = run_faults(draw_case(seed) for seed in range(2))
-    bad = [each for each in results if each.faults]
-    assert not bad, fault_table(bad)
-
-
-@pytest.mark.slow
-def test_three_hundred_faults_that_a_seed_draws():
-    results = run_faults(draw_case(seed) for seed in range(100, 400))
-    print(fault_table(results))
-    bad = [each for each in results if each.faults]
-    assert not bad, fault_table(bad)
+@pytest.mark.parametrize(
+    "seeds", [range(2), pytest.param(range(100, 400), marks=pytest.mark.slow)], ids=len
+)
+def test_faults_that_a_seed_draws(seeds):
+    bad = [each for each in run_faults(map(draw_case, seeds)) if each.faults]
+    assert not bad
 
 
 @pytest.mark.parametrize(

@@ -149,14 +149,3 @@ def test_tracker_that_needs_longer_than_a_sweep_gets_every_other_one_or_so():
     newest = np.floor((done - busy) / period + 1e-6) - 1
     np.testing.assert_allclose(log.volume_time, (newest + 4 / 9) * period, atol=1e-6)
     assert len(experiment.compute["track"]) == len(log.volume_time) == 7
-
-
-def test_lost_volumes_leave_the_estimate_as_it_was():
-    plan = scenario("scanner.connection.lost_sweeps=0.4", duration=5.0)
-    experiment = make_experiment(plan, tracker=SameInProbe(**tracker_events(plan)))
-    experiment.run()
-    log = experiment.log()
-    number = np.round(log.volume_time * 3.3 - 4 / 9)
-    assert 2 <= 16 - len(number) <= 11
-    np.testing.assert_allclose(log.volume_seen, (number + 1) / 3.3 + 0.02, atol=1e-5)
-    assert len(experiment.compute["render"]) == len(number)

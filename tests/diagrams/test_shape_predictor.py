@@ -5,7 +5,7 @@ from pydrake.math import RigidTransform
 
 from sonoservo.diagrams import MakeShapePredictor
 from sonoservo.systems.shape import CrossSectionParameters
-from sonoservo.systems.signals import CrossSection, ImageClick, ImageSlice, NeedleShape, NotFound
+from sonoservo.systems.signals import CrossSection, ImageSlice, NeedleShape, NotFound
 
 SPACING, ORIGIN = 0.2e-3, np.array([-0.02, 0.005])
 RADIUS = CrossSectionParameters().needle_radius
@@ -75,15 +75,3 @@ def test_it_follows_the_predicted_shape_while_the_needle_is_not_seen():
     shape = predictor.GetOutputPort("shape").Eval(context)
     assert isinstance(shape, NeedleShape)
     assert shape.observed == pytest.approx(0.06)
-
-
-def test_on_request_it_waits_for_a_click():
-    predictor = MakeShapePredictor(period=1.0, click=True)
-    context = predictor.CreateDefaultContext()
-    click = predictor.GetInputPort("click")
-    click.FixValue(context, Value[object](NotFound("no click")))
-    for number in range(5):
-        assert not show(predictor, context, picture([0.0, 0.025], seed=number, time=number))
-    click.FixValue(context, Value[object](ImageClick([0.3e-3, 0.025])))
-    found = show(predictor, context, picture([0.0, 0.025], seed=9, time=9))
-    assert np.allclose(found.centre, [0.0, 0.025], atol=0.2e-3)

@@ -35,19 +35,6 @@ def test_numbers_become_grey_levels(tmp_path, array, window, wanted):
     np.testing.assert_allclose(volume.intensities, wanted, atol=1e-4)
 
 
-@pytest.mark.parametrize("first", [0.0, 0.125])
-def test_the_window_is_that_of_the_first_volumes_that_show_something(tmp_path, first):
-    bright = np.linspace(-500, 3000, 240).reshape(SHAPE).astype(np.float32)
-    path = write_sequence_nrrd(tmp_path / "a.seq.nrrd", [first * bright, bright, bright, bright])
-    recording = Recording(path)
-    grey = recording[1].intensities
-    assert (np.diff(grey.ravel()) >= 0).all()
-    assert (grey.min(), grey.max()) == (0, 255)
-    assert np.ptp(recording[0].intensities) == pytest.approx(255 * first)
-    said = [note for note in recording.notes if "black" in note]
-    assert ("1 blank volumes did not choose" in said[0]) == (first == 0)
-
-
 def test_numbers_for_nothing_were_not_seen(tmp_path):
     outside = np.indices(SHAPE)[0] == 0
     for name, marker, dtype, options in (

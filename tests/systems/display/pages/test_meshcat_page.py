@@ -2,6 +2,7 @@
 
 import asyncio
 import os
+import re
 import socket
 import threading
 import time
@@ -11,6 +12,7 @@ from urllib.request import urlopen
 
 import pytest
 import umsgpack
+from live_items import wait_until
 from page_clients.page_socket import (
     CLOSE,
     ask,
@@ -45,14 +47,7 @@ def page(meshcat):
         meshcat.SetProperty("box", "note", note)
         while umsgpack.unpackb(read_frame(page)[1]).get("value") != note:
             pass
-    wait_for(lambda: meshcat.GetNumActiveConnections() == 0)
-
-
-def wait_for(condition):
-    end = time.monotonic() + 20
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.01)
+    wait_until(lambda: meshcat.GetNumActiveConnections() == 0)
 
 
 def connection(meshcat):
@@ -66,10 +61,16 @@ def test_it_is_served_to_the_end_of_the_program(meshcat, monkeypatch):
         raise RuntimeError("cannot schedule new futures after shutdown")
 
     monkeypatch.setattr(asyncio.base_events.BaseEventLoop, "run_in_executor", refused)
-    assert "Drake MeshCat" in urlopen(meshcat.web_url()).read().decode()
+    text = urlopen(meshcat.web_url()).read().decode()
+    assert "Drake MeshCat" in text
+    (source,) = re.findall('src="([^"]*)"', text)
+    # A notebook's frame sends no cookie: what is named by its hash needs none, and no token.
+    script = urlopen(meshcat.web_url().partition("?")[0] + source)
+    assert "javascript" in script.headers["Content-Type"]
+    assert len(script.read()) > 1e6
     with connection(meshcat):
-        wait_for(lambda: meshcat.GetNumActiveConnections() == 1)
-    wait_for(lambda: meshcat.GetNumActiveConnections() == 0)
+        wait_until(lambda: meshcat.GetNumActiveConnections() == 1)
+    wait_until(lambda: meshcat.GetNumActiveConnections() == 0)
 
 
 def test_drakes_own_server_is_hidden(meshcat):
@@ -119,7 +120,7 @@ def test_what_a_page_says_does_not_reach_drake(meshcat, page):
         send_frame(other, b"x" * 125, kind=0x8A)  # an answer to none
         send_frame(other, b"\x03\xe8", kind=CLOSE)
         read_until_closed(other)
-    wait_for(lambda: meshcat.GetNumActiveConnections() == 1)
+    wait_until(lambda: meshcat.GetNumActiveConnections() == 1)
     assert meshcat.GetSliderValue("depth") == 5
     assert meshcat.GetButtonClicks("pause") == clicks
 
@@ -149,18 +150,18 @@ def test_torn_frames_cost_their_page_the_connection(meshcat, page):
             bad.sendall(data)
             bad.shutdown(socket.SHUT_WR)
             read_until_closed(bad)
-    wait_for(lambda: meshcat.GetNumActiveConnections() == 1)
+    wait_until(lambda: meshcat.GetNumActiveConnections() == 1)
 
 
 def test_a_page_that_reads_nothing_is_disconnected(meshcat):
     """Drake would keep everything for it, without a limit."""
     with connection(meshcat) as page, connection(meshcat):
-        wait_for(lambda: meshcat.GetNumActiveConnections() == 2)
+        wait_until(lambda: meshcat.GetNumActiveConnections() == 2)
         reader = threading.Thread(target=read_until_closed, args=(page,))
         reader.start()
         for number in range(60):
             meshcat.SetProperty("box", "note", [float(number)] * 100_000)
-        wait_for(lambda: meshcat.GetNumActiveConnections() == 1)
+        wait_until(lambda: meshcat.GetNumActiveConnections() == 1)
         page.shutdown(socket.SHUT_RDWR)
         reader.join()
-    wait_for(lambda: meshcat.GetNumActiveConnections() == 0)
+    wait_until(lambda: meshcat.GetNumActiveConnections() == 0)
