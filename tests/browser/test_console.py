@@ -17,7 +17,7 @@ from sonoservo.systems.signals import NeedleCurve, NeedleEstimate, TrackingMode
 
 ENTRY = entry_on_side()
 TIPS = [ENTRY + np.array([0.045, 0.010, 0.004]), ENTRY + np.array([0.070, 0.014, 0.010])]
-SIZES = [(1280, 800), (1920, 1080), (1024, 768), (768, 1024)]
+SIZES = [(1024, 768), (768, 1024)]
 SEARCHING = "nothing changed by more than 3.0 dB"
 
 

@@ -19,9 +19,7 @@ CHANGES = [
     "station.plant.contact_model=point",
     "station.probe.height=0.004",
 ]
-LAYERS = [
-    "arm", "probe", "phantom", "needle", "estimate", "uncertainty", "sector", "slices", "force"
-]  # fmt: skip
+LAYERS = ["needle", "estimate", "uncertainty", "slices"]
 
 
 class Run:

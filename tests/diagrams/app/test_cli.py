@@ -179,34 +179,6 @@ def test_a_mistake_in_what_to_reproduce_is_one_line_and_exit_code_2(arguments, m
     assert not (tmp_path / "out").exists()
 
 
-def test_what_is_recorded_is_tracked_and_its_needle_located(tmp_path):
-    recording = tmp_path / "a.seq.nrrd"
-    changes = ["duration=4.5", "hand.start=0.2", "hand.pushes.0.speed=0.02", *COARSE]
-    changes += ["scan_conversion.spacing=[1e-3, 1e-3, 1e-3]", "imaging.sector=0.5"]
-    made = sonoservo_here(
-        "run", "chatelain2013_fig4", "--seed", "101", "--no-meshcat",
-        *(each for change in changes for each in ("--set", change)),
-        "--record", str(recording), "--out", str(tmp_path / "run"),
-    )  # fmt: skip
-    assert made.returncode == 0, made.stderr
-    tracked = sonoservo_here(
-        "track", str(recording), "--start", "anywhere", "--show", "--out", str(tmp_path / "out")
-    )
-    assert tracked.returncode == 0, tracked.stderr
-    assert "Watch at http://localhost:" in tracked.stdout
-    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
-    assert summary["modes"]["tracking"] > 3
-    count = summary["volumes"]
-    figures = tmp_path / "found.json"
-    arguments = ["locate", str(recording), "--json", str(figures), "--number"]
-    assert sonoservo_here(*arguments, "0").returncode == 1
-    assert json.loads(figures.read_text())["found"] is False
-    found = sonoservo_here(*arguments, str(count - 1))
-    assert found.returncode == 0, found.stderr
-    assert "tip_lps_mm" in found.stdout
-    assert "guide wire" in found.stdout
-
-
 @pytest.mark.parametrize("command", ["track", "locate"])
 def test_a_bad_recording_is_one_line_and_leaves_nothing(tmp_path, command):
     path = tmp_path / "a.mha"

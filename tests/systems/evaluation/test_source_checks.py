@@ -12,6 +12,7 @@ from sonoservo.systems.evaluation.source_checks import (
     check_errors,
     check_matrices,
     check_motion,
+    check_spacing,
     check_times,
     check_volume,
     gravest,
@@ -48,10 +49,17 @@ def speckle(spacing, widths):
     return Volume(np.clip(grey, 1, 255).astype(np.uint8), np.zeros(3), spacing, RigidTransform(), 0)
 
 
-def test_steady_times_need_nothing_and_tell_the_rate():
+def test_what_is_right_needs_nothing_and_is_told():
     findings = check_times(5.0 + 0.2 * np.arange(20))
     assert worst(findings) is None
     assert findings[0].text.startswith("5 volumes a second over 3.8 s")
+    assert worst(check_matrices("ProbeToTracker", np.round(moving(), 4))) is None
+    pixels = check_matrices("ImageToProbe", np.diag([0.2, 0.15, 0.2, 1]))
+    assert worst(pixels) is None
+    assert "0.2 x 0.15 mm" in pixels[0].text
+    assert worst(check_motion("P", moving(), 0.05 * np.arange(50))) is None
+    assert worst(check_spacing([1, 0.5, 1])) is None
+    assert worst(check_spacing([1, 1, 1]))[0] is Check.SPACING
 
 
 @pytest.mark.parametrize(
@@ -85,17 +93,6 @@ def test_matrices_that_are_none(name, change, text):
     check, found = worst(check_matrices(name, moving() @ change))
     assert check is Check.MATRIX
     assert text in found
-
-
-def test_right_matrices_need_nothing():
-    assert worst(check_matrices("ProbeToTracker", np.round(moving(), 4))) is None
-    pixels = check_matrices("ImageToProbe", np.diag([0.2, 0.15, 0.2, 1]))
-    assert worst(pixels) is None
-    assert "0.2 x 0.15 mm" in pixels[0].text
-
-
-def test_motion_of_a_probe_needs_nothing():
-    assert worst(check_motion("P", moving(), 0.05 * np.arange(50))) is None
 
 
 @pytest.mark.parametrize(

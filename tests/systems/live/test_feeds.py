@@ -80,6 +80,9 @@ def test_estimate_is_told_by_its_parts():
     assert (status.good, status.text) == (True, "tracking")
     assert len(curve.points) == 21
     np.testing.assert_array_equal(covariance.covariance, make_estimate(3).tip_covariance)
+    estimate = NeedleEstimate(TrackingMode.SEARCHING, 1.0, reason="no insertion yet")
+    (status,) = needle_items(estimate, NeedleNames(), 5.0)
+    assert (status.good, status.text) == (False, "searching: no insertion yet")
 
 
 def test_names_can_be_set_and_left_out():
@@ -91,12 +94,6 @@ def test_names_can_be_set_and_left_out():
     assert len(points.points) == 2
     with pytest.raises(ValueError, match="curve: .* at most 20 bytes long"):
         NeedleNames(curve="x" * 21)
-
-
-def test_without_a_needle_there_is_only_its_status():
-    estimate = NeedleEstimate(TrackingMode.SEARCHING, 1.0, reason="no insertion yet")
-    (status,) = needle_items(estimate, NeedleNames(), 5.0)
-    assert (status.good, status.text) == (False, "searching: no insertion yet")
 
 
 def test_needle_sender_sends_each_estimate_once_with_its_volumes_time(outlet):

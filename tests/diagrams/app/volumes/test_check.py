@@ -99,7 +99,7 @@ def test_other_commands_say_the_gravest_finding_in_one_line(tmp_path, capsys):
     volume = make_volume(shape=(20, 20, 20))
     one = type(volume)(volume.intensities, [0, 0, 0], [1e-3] * 3, RigidTransform(), 1.0)
     path = write_volume(tmp_path / "one.nrrd", one)
-    run_arguments(["locate", str(path)])
+    assert run_arguments(["locate", str(path)]) == 1  # no needle
     (line,) = [each for each in capsys.readouterr().out.splitlines() if "sonoservo check" in each]
     assert "spacing: 1 x 1 x 1 mm" in line
 

@@ -1,13 +1,11 @@
 """The study of robustness: what counts as a success, what is run, and a short version of it."""
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform, RotationMatrix
-from synthetic_logs import build_insertion_log
 
 from sonoservo.diagrams import load_scenario, make_insertion
 from sonoservo.diagrams.papers import results
@@ -21,14 +19,11 @@ from sonoservo.diagrams.studies.robustness.runs import (
     OURS,
     PLAIN,
     TRACKERS,
-    as_in_probe,
-    record,
     run_case,
     scenario_of,
     turned,
 )
 from sonoservo.diagrams.studies.robustness.search_path import SearchPath
-from sonoservo.systems.evaluation.success import judged_errors
 from sonoservo.systems.signals import NeedleCurve, NeedleEstimate, TrackingMode
 from sonoservo.systems.ultrasound.simulation import load_tissue
 
@@ -290,26 +285,6 @@ def test_the_whole_study_in_short(tmp_path, monkeypatch):
     assert [row.named for row in again.rows] == [row.named for row in study.rows]
     true = [np.array([row.true for row in each.rows], dtype=float) for each in (again, study)]
     np.testing.assert_allclose(*true, rtol=1e-5)
-
-
-def test_errors_in_the_probe_do_not_hold_an_error_of_its_pose():
-    log = build_insertion_log()  # 0.3 mm too far, and 0.4 mm too high
-
-    def tips(log, across_depth=False):
-        tip, axis = judged_errors(log, across_depth=across_depth)
-        np.testing.assert_allclose(axis[np.isfinite(tip)], 0, atol=1e-9)
-        return tip[np.isfinite(tip)]
-
-    np.testing.assert_allclose(tips(log), 0.5e-3)
-    np.testing.assert_allclose(tips(log, across_depth=True), 0.3e-3)
-    measured = log.X_WP.copy()
-    measured[:, :3, 3] += [0.3e-3, 0, 0.4e-3]
-    shifted = as_in_probe(replace(log, measured_X_WP=measured))
-    np.testing.assert_allclose(tips(shifted), 0, atol=1e-9)
-    far = log.X_WP.copy()
-    far[:, 1, 3] += 0.02
-    assert record(replace(log, measured_X_WP=far))["false_starts"] == 0
-    assert record(replace(log, measured_X_WP=far), in_probe=True)["false_starts"] == 1
 
 
 def test_all_trackers_of_an_open_loop_see_the_same_volumes():
