@@ -28,8 +28,7 @@ from sonoservo.systems.evaluation.explanation.explained_volume import (
 from sonoservo.systems.evaluation.log import columns
 from sonoservo.systems.signals import LocalizationExplanation, NotFound, TrackingMode
 
-TRACKING, COASTING = TrackingMode.TRACKING, TrackingMode.COASTING
-SEARCHING, LOST = TrackingMode.SEARCHING, TrackingMode.LOST
+COASTING, SEARCHING = TrackingMode.COASTING, TrackingMode.SEARCHING
 
 
 def test_all_that_was_looked_at_is_kept():
