@@ -19,12 +19,13 @@ from sonoservo.diagrams.benchmark.estimates import (
     read_estimates,
 )
 from sonoservo.diagrams.benchmark.making import make_volumes
-from sonoservo.diagrams.benchmark.report import write_benchmark
+from sonoservo.diagrams.benchmark.report import kept_markdown, write_benchmark
 from sonoservo.diagrams.benchmark.scores import judge_sequence, reliability, score
 from sonoservo.diagrams.benchmark.sequence import acquire_sequence, load_suites, sequence_seeds
 from sonoservo.systems.files.refusals import ConfigurationError
-from sonoservo.systems.recording import Recording, read_truth
-from sonoservo.systems.signals import Volume
+from sonoservo.systems.recording.recording import Recording
+from sonoservo.systems.recording.side_files import read_truth
+from sonoservo.systems.signals.volume import Volume
 
 SEED = 107
 
@@ -227,7 +228,10 @@ def test_a_folder_of_tables_is_scored_and_reported(short, truth, tmp_path):
     write_benchmark(result, tmp_path / "out", "sonoservo benchmark mine")
     written = json.loads((tmp_path / "out" / "benchmark.json").read_text())
     assert written["scores"]["mine"][ALL] == scores
-    assert "| mine | 1 of 1 |" in (tmp_path / "out" / "benchmark.md").read_text()
+    table = (tmp_path / "out" / "benchmark.md").read_text()
+    assert "| mine | 1 of 1 |" in table
+    assert "| 0.75 to 0.95 | 100.0 % (" in table
+    assert kept_markdown(result.outcomes) == table.replace("salt 9", "salt 0")
     assert "clean, seed 9000: cut along" in (tmp_path / "out" / "report.html").read_text()
     with pytest.raises(ConfigurationError, match=r"no table of a sequence, such as clean"):
         resolve_entrant(str(tmp_path), {"clean_seed9000": None})

@@ -7,8 +7,10 @@ from types import SimpleNamespace
 import pytest
 
 from sonoservo.diagrams.papers import results
-from sonoservo.diagrams.studies import Case, Outcome, Study, StudyRow, records
+from sonoservo.diagrams.studies import records
 from sonoservo.diagrams.studies.fingerprint import made_by
+from sonoservo.diagrams.studies.study import Case, Outcome
+from sonoservo.diagrams.studies.study_report import Study, StudyRow
 from sonoservo.systems.files.refusals import ConfigurationError
 
 
@@ -68,7 +70,7 @@ def test_records_are_kept_and_become_tables(study, house):
     results.write_tables()
     assert "no results yet" in page.read_text()
     results.kept_results.cache_clear()
-    results.keep_results([study], "sonoservo reproduce all")
+    results.keep_records({"chatelain2013": study.outcomes}, "sonoservo reproduce all")
     text = page.read_text()
     assert (
         "Commit abc, `sonoservo reproduce all`, 1 seeds an experiment: 1 of 2 targets met." in text
@@ -93,13 +95,13 @@ def test_only_records_of_the_present_committed_code_are_kept(study, house, monke
     other = {**made_by("my_study"), "sonoservo's code": "0"}
     late = replace(study, outcomes=[replace(study.outcomes[0], made_by=other)])
     with pytest.raises(ConfigurationError, match="other code than the present one"):
-        results.keep_results([late], "")
+        results.keep_records({"chatelain2013": late.outcomes}, "")
     monkeypatch.setattr(records, "present_commit", lambda: "abc+")
     with pytest.raises(ConfigurationError, match="not committed"):
-        results.keep_results([study], "")
+        results.keep_records({"chatelain2013": study.outcomes}, "")
     (folder / "pyproject.toml").unlink()
     with pytest.raises(ConfigurationError, match="in a checkout"):
-        results.keep_results([study], "")
+        results.keep_records({"chatelain2013": study.outcomes}, "")
 
 
 def test_each_experiment_has_a_line_of_its_main_figures(data):
