@@ -35,6 +35,14 @@ from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_estimate import TrackingMode
 
+KEPT_TRACKERS = (
+    "chatelain2013",
+    "brightest_line",
+    "chatelain2013_as_published",
+    "zhao2012_as_published",
+)
+"""Trackers whose scores are kept; the first two are scored by default."""
+
 ALL = "all suites"  # name of the scores over all suites
 
 
@@ -97,7 +105,7 @@ def run_benchmark(trackers: Sequence[str], options: BenchmarkOptions) -> Benchma
         run_sequence, cases, options.folder / "cases",
         jobs=options.jobs, cluster=options.cluster, console=options.console,
     )  # fmt: skip
-    return BenchmarkResult(_summarize(called, outcomes, options), outcomes)
+    return BenchmarkResult(summarize(outcomes, salt=options.salt, quick=options.quick), outcomes)
 
 
 def run_sequence(case: Case) -> WithFiles:
@@ -149,9 +157,9 @@ def _picture(sequence: Volumes, rows: Sequence[Estimated], number: int) -> bytes
     ]))  # fmt: skip
 
 
-def _summarize(
-    trackers: Sequence[str], outcomes: Sequence[Outcome], options: BenchmarkOptions
-) -> dict[str, Any]:
+def summarize(outcomes: Sequence[Outcome], *, salt: int = 0, quick: bool = False) -> dict[str, Any]:
+    """Return the contents of benchmark.json: records, and scores with intervals over them."""
+    trackers = [each["name"] for each in outcomes[0].case.settings["entrants"]]
     suites = list(dict.fromkeys(each.case.experiment for each in outcomes))
     records = [
         {"suite": each.case.experiment, "seed": each.case.seed, **each.result}
@@ -167,8 +175,8 @@ def _summarize(
                 scores[tracker][suite] = score(own)
     return {
         "version": VERSION,
-        "salt": options.salt,
-        "quick": options.quick,
+        "salt": salt,
+        "quick": quick,
         "made_with": {**made_with(), "sonoservo's code": code_fingerprint(__name__)},
         "sequences": len(outcomes),
         "failed": [

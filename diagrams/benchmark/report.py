@@ -1,16 +1,18 @@
 """Files of the benchmark: JSON, a Markdown table, and a page with the worst cases as pictures."""
 
 import html
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 from matplotlib.figure import Figure
 
-from sonoservo.diagrams.benchmark.benchmark import ALL, BenchmarkResult
+from sonoservo.diagrams.benchmark.benchmark import ALL, BenchmarkResult, summarize
 from sonoservo.diagrams.benchmark.entrants import sequence_name
-from sonoservo.diagrams.benchmark.scores import FIGURES
+from sonoservo.diagrams.benchmark.scores import BINS, FIGURES
 from sonoservo.diagrams.benchmark.sequence import load_suites
+from sonoservo.diagrams.studies.study import Outcome
 from sonoservo.systems.evaluation.reports.plots import png
 from sonoservo.systems.evaluation.reports.report import picture, web_page
 from sonoservo.systems.evaluation.table import Table
@@ -18,9 +20,9 @@ from sonoservo.systems.files.writing import write_atomically, write_json
 
 _WORST = 4  # number of a tracker's worst sequences that the page shows
 
-_CAPTION = (
+_SHARES = (
     "Share of needles among estimates of a stated probability, with 95 % intervals that take the "
-    "volumes for independent. On the dashed line, the stated probability is right."
+    "volumes for independent."
 )
 
 
@@ -47,10 +49,39 @@ def benchmark_markdown(data: Mapping[str, Any]) -> str:
     lines = [f"Version {data['version']}, salt {data['salt']}, {data['sequences']} sequences, "
              f"{len(data['failed'])} failed. In brackets: 95 % intervals.", ""]  # fmt: skip
     lines.append(benchmark_table(data).markdown())
+    if any(data["reliability"].values()):
+        lines += ["", "## Stated probability", "", _SHARES, ""]
+        lines.append(reliability_table(data).markdown())
     for name in data["scores"]:
         if data["scores"][name]:
             lines += ["", f"## {name}", "", benchmark_table(data, name).markdown()]
     return "\n".join(lines) + "\n"
+
+
+def reliability_table(data: Mapping[str, Any]) -> Table:
+    """Return the share of needles among estimates of a stated probability, by tracker."""
+    curves = {
+        name: {each["from"]: each for each in points}
+        for name, points in data["reliability"].items()
+        if points
+    }
+    rows = [
+        [f"{low:g} to {high:g}", *(_share(points.get(low)) for points in curves.values())]
+        for low, high in pairwise(BINS)
+    ]
+    return Table(["stated probability", *curves], rows)
+
+
+def _share(point: Mapping[str, Any] | None) -> str:
+    if point is None:
+        return ""
+    share, low, high = (100 * point[key] for key in ("share", "low", "high"))
+    return f"{share:.1f} % ({low:.1f} to {high:.1f}) of {point['volumes']}"
+
+
+def kept_markdown(outcomes: Sequence[Outcome]) -> str:
+    """Return the scores in kept records as Markdown."""
+    return benchmark_markdown(summarize(outcomes))
 
 
 def _page(result: BenchmarkResult, folder: Path, command: str) -> str:
@@ -69,7 +100,8 @@ def _page(result: BenchmarkResult, folder: Path, command: str) -> str:
         f"<p><b>{html.escape(name)}</b>: {html.escape(each.line)}.</p>"
         for name, each in load_suites().items()
     ]
-    figures = {_CAPTION: png(plot_reliability(data["reliability"]))}
+    caption = f"{_SHARES} On the dashed line, the stated probability is right."
+    figures = {caption: png(plot_reliability(data["reliability"]))}
     facts = (
         f"Sequences: {data['sequences']}, salt: {data['salt']}. <code>{html.escape(command)}</code>"
     )

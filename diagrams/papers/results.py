@@ -1,8 +1,9 @@
 """Kept results of papers and studies, and the tables of the documentation that show them.
 
 A paper's or study's package keeps a record of each run, made by ``sonoservo reproduce all --keep``,
-or by its own name instead of "all". The tables are made of the records by the present definitions.
-They name the commit that made the runs, and say so if the code of the runs has changed since.
+or by its own name instead of "all"; so does the benchmark. The tables are made of the records
+by the present definitions. They name the commit that made the runs, and say so if the code of the
+runs has changed since.
 """
 
 import json
@@ -19,6 +20,7 @@ from typing import Any
 
 from sonoservo.diagrams.studies.fingerprint import OLD, RECORDS
 from sonoservo.diagrams.studies.records import Records, read_records, write_records
+from sonoservo.diagrams.studies.study import Outcome
 from sonoservo.diagrams.studies.study_report import (
     Study,
     StudyRow,
@@ -35,9 +37,12 @@ _ROOT = Path(__file__).resolve().parents[2]
 PAGES = (_ROOT / "README.md", *sorted((_ROOT / "notebooks/docs").glob("results_*.md")))
 """Pages with tables of results."""
 
+BENCHMARK = "benchmark"
+"""Name of the benchmark, which keeps its records as a study does."""
+
 _TABLE = re.compile(r"<!-- results (\w+) (\w+) -->\n.*?<!-- end of results -->", re.S)
 
-_NONE = "*There are no results yet. `sonoservo reproduce {} --keep` makes them, in hours.*"
+_NONE = "*There are no results yet. `sonoservo {} --keep` makes them, in hours.*"
 
 CHANGED = " *The code that makes these results has changed since.*"
 """Note beside results that the present code did not make."""
@@ -57,20 +62,20 @@ _MAIN_FIGURES = {
 """Quantities of the study of robustness that judge a tracker, each with the prefix of its keys."""
 
 
-def keep_results(studies: Sequence[Study], command: str) -> None:
-    """Keep the records of studies in their packages, and write the tables that are made of them."""
+def keep_records(outcomes: Mapping[str, Sequence[Outcome]], command: str) -> None:
+    """Keep records of runs in the packages that made them, and write the tables made of them."""
     if not (_ROOT / "pyproject.toml").is_file():
         raise ConfigurationError("--keep: results are kept in a checkout of the repository only")
-    for each in studies:
-        write_records(_folder(each.paper) / RECORDS, each.outcomes, command)
-        (_folder(each.paper) / OLD).unlink(missing_ok=True)
+    for name, each in outcomes.items():
+        write_records(_folder(name) / RECORDS, each, command)
+        (_folder(name) / OLD).unlink(missing_ok=True)
     kept_results.cache_clear()
     write_tables()
 
 
 @cache
 def kept_results(paper: str) -> dict[str, Any] | None:
-    """Return a paper's kept results as in study.json, by the present definitions; None if none."""
+    """Return a study's kept results as in study.json, by the present definitions; None if none."""
     records = kept_records(paper)
     if records is not None:
         report = import_module(
@@ -86,7 +91,7 @@ def kept_results(paper: str) -> dict[str, Any] | None:
 
 
 def kept_records(paper: str) -> Records | None:
-    """Return the records of a paper's or study's kept runs; None if there are none."""
+    """Return the records of the kept runs of a paper, a study or the benchmark; None if none."""
     return read_records(_folder(paper) / RECORDS)
 
 
@@ -153,12 +158,27 @@ def with_tables(text: str) -> str:
 
     def table(found: re.Match[str]) -> str:
         paper, rows = found.groups()
-        kept = kept_results(paper)
-        made_by = "all" if study_room(paper) == "papers" else paper
-        content = _NONE.format(made_by) if kept is None else results_table(kept, rows)
+        if paper == BENCHMARK:
+            content = _benchmark_scores() or _NONE.format(BENCHMARK)
+        else:
+            kept = kept_results(paper)
+            made_by = "all" if study_room(paper) == "papers" else paper
+            none = _NONE.format(f"reproduce {made_by}")
+            content = none if kept is None else results_table(kept, rows)
         return f"<!-- results {paper} {rows} -->\n{content}\n<!-- end of results -->"
 
     return _TABLE.sub(table, text)
+
+
+def _benchmark_scores() -> str | None:
+    """Return the kept scores of the benchmark as Markdown; None if none are kept."""
+    records = kept_records(BENCHMARK)
+    if records is None:
+        return None
+    report = import_module(f"sonoservo.diagrams.{BENCHMARK}.report")
+    changed = CHANGED if records.is_outdated else ""
+    source = f"Commit {records.commit[:10]}, `{records.command}`.{changed}"
+    return f"{source}\n\n{report.kept_markdown(records.outcomes)}"
 
 
 def _thresholds_table(thresholds: Sequence[Mapping[str, str]]) -> str:
@@ -197,5 +217,7 @@ def _row(kept: Mapping[str, Any]) -> StudyRow:
     return StudyRow(**known)
 
 
-def _folder(paper: str) -> Path:
-    return _ROOT / "diagrams" / study_room(paper) / paper
+def _folder(name: str) -> Path:
+    if name == BENCHMARK:
+        return _ROOT / "diagrams" / BENCHMARK
+    return _ROOT / "diagrams" / study_room(name) / name

@@ -179,7 +179,7 @@ def reproduce_command(
         )
     with console.status(f"Preparing to reproduce {paper} ..."):  # seconds, where files are cold
         from sonoservo.diagrams.app.terminal import study_table
-        from sonoservo.diagrams.papers.results import keep_results
+        from sonoservo.diagrams.papers.results import keep_records
         from sonoservo.diagrams.studies.processes import FinishedOnly
         from sonoservo.diagrams.studies.study import StudyOptions
         from sonoservo.diagrams.studies.study_report import write_studies, write_study
@@ -218,7 +218,7 @@ def reproduce_command(
         data = write_study(folder, studies[0], shlex.join(command))
     say_report(folder)
     if keep:
-        keep_results(studies, shlex.join(command))
+        keep_records({each.paper: each.outcomes for each in studies}, shlex.join(command))
     write_printed(results.json_path, data)
 
 
@@ -279,16 +279,28 @@ def benchmark_command(
     store: Annotated[
         str | None, typer.Option(help="make: folder or fsspec URL that a cluster writes to.")
     ] = None,
+    keep: Annotated[
+        bool, typer.Option("--keep", help="Keep the scores in the repository, with their tables.")
+    ] = False,
 ) -> None:
     """Score needle trackers on suites of simulated volumes, or make the volumes.
 
     Finished sequences are kept; repeat the command to resume after an interruption.
     """
-    from sonoservo.diagrams.benchmark.benchmark import BenchmarkOptions, run_benchmark
+    from sonoservo.diagrams.benchmark.benchmark import (
+        KEPT_TRACKERS,
+        BenchmarkOptions,
+        run_benchmark,
+    )
     from sonoservo.diagrams.benchmark.making import FORMATS, make_volumes
     from sonoservo.diagrams.benchmark.report import benchmark_table, write_benchmark
+    from sonoservo.diagrams.papers.results import BENCHMARK, keep_records
 
-    names = trackers or ["chatelain2013", "brightest_line"]
+    if keep and (trackers or suites or quick or salt):
+        raise ConfigurationError(
+            "--keep: only scores of the four kept trackers on the reported sequences are kept"
+        )
+    names = list(trackers or (KEPT_TRACKERS if keep else KEPT_TRACKERS[:2]))
     makes = names == [MAKE]
     if MAKE in names and not makes:
         raise ConfigurationError("make: it takes no trackers; score them in a second command")
@@ -320,6 +332,8 @@ def benchmark_command(
             say_report(folder)
             write_printed(results.json_path, result.data)
             failed = result.failed
+            if keep:
+                keep_records({BENCHMARK: result.outcomes}, shlex.join(["sonoservo", *sys.argv[1:]]))
     for each in failed:
         console.print(f"{each.case.experiment}, seed {each.case.seed}: {each.error}")
     if failed:
