@@ -52,7 +52,6 @@ def test_without_a_needle_the_probe_is_where_the_scenario_starts(scenario):
     start = scenario.station.probe_pose(height=-4e-3)
     np.testing.assert_allclose(empty.volume.X_WP.GetAsMatrix4(), start.GetAsMatrix4(), atol=1e-12)
     assert summarize_scan(empty, scenario)["inserted_mm"] == 0
-    assert "27 frames x 96 lines" in empty._repr_html_()
 
 
 @pytest.mark.filterwarnings("error")

@@ -32,7 +32,8 @@ def scenario(phantom="agar", x=0.0, **hand):
 
 
 @pytest.mark.parametrize(
-    ("phantom", "azimuth_deg", "dip_deg"), [("agar", 0, 0), ("limb", 225, 60), ("abdomen", 0, 60)]
+    ("phantom", "azimuth_deg", "dip_deg"),
+    [("agar", 0.0, 0.0), ("limb", 225.0, 60.0), ("abdomen", 0.0, 60.0)],
 )
 def test_a_needle_aimed_at_a_point_passes_it_from_the_surface(phantom, azimuth_deg, dip_deg):
     aim = [0.005, -0.005, -0.045]
@@ -46,7 +47,7 @@ def test_a_needle_aimed_at_a_point_passes_it_from_the_surface(phantom, azimuth_d
     check_entry(made, surface)
 
 
-@pytest.mark.parametrize(("azimuth_deg", "dip_deg"), [(0, 0), (90, 45), (200, 70)])
+@pytest.mark.parametrize(("azimuth_deg", "dip_deg"), [(0.0, 0.0), (90.0, 45.0), (200.0, 70.0)])
 def test_by_default_a_needle_comes_in_beside_the_probe_and_below_it(azimuth_deg, dip_deg):
     made = scenario(azimuth_deg=azimuth_deg, dip_deg=dip_deg, x=0.02)
     surface = load_tissue("agar").surface

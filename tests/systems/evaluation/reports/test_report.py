@@ -39,7 +39,7 @@ class Page(HTMLParser):
             self.rows[-1][-1] += data
 
 
-def test_plots_show_the_columns(insertion_log):
+def test_plots_show_the_columns(insertion_log, make_log):
     feature, *_ = plot_run(insertion_log).axes
     lines = {line.get_label(): line for line in feature.get_lines()}
     x = lines["x"].get_ydata()
@@ -49,6 +49,8 @@ def test_plots_show_the_columns(insertion_log):
     tip, axis, _ = plot_errors(insertion_log).axes
     assert np.nanmax(tip.get_lines()[0].get_ydata()) == pytest.approx(0.5)
     assert np.nanmax(axis.get_lines()[0].get_ydata()) == pytest.approx(0, abs=1e-6)
+    for plot in (plot_run, plot_errors):
+        assert png(plot(make_log(0, 0)), dpi=20).startswith(b"\x89PNG")
 
 
 def test_page(insertion_log, make_log):

@@ -64,11 +64,12 @@ def test_errors_of_a_turned_line_are_those_of_a_triangle():
     assert aside.largest == pytest.approx(2e-3)
 
 
-def test_bound_of_the_shape_error_holds_for_95_percent_of_what_is_possible():
+def test_tip_and_shape_are_covered_in_95_percent_of_what_is_possible():
     shape = spread(0.01, n=400)
     draws = 0.01 * np.random.default_rng(1).normal(size=200)
-    covered = np.mean([shape_coverage(shape, straight(each))["shape"] for each in draws])
-    assert 0.90 <= covered <= 0.99
+    covered = [shape_coverage(shape, straight(each)) for each in draws]
+    for name in ("tip", "shape"):
+        assert 0.90 <= np.mean([each[name] for each in covered]) <= 0.99
 
 
 def test_a_needle_that_is_left_or_lost_was_not_followed():
