@@ -9,9 +9,13 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from sonoservo.diagrams import RunResult, drive, load_scenario, run
+from sonoservo.diagrams import load_scenario, run
 from sonoservo.diagrams.app.cli import app
-from sonoservo.systems.display import Console
+from sonoservo.diagrams.app.drive import drive
+from sonoservo.diagrams.app.run_result import RunResult
+from sonoservo.systems.display.console.console import Console
+from sonoservo.systems.evaluation.log import read_log
+from sonoservo.systems.evaluation.run_log import RunLog
 
 CHEAP = [
     "station.plant.contact_model=point",
@@ -53,34 +57,53 @@ def click(name):
     return lambda controls: controls.press(name)
 
 
-def test_a_drive_is_saved_recorded_and_repeated(console, tmp_path):
+@pytest.fixture(scope="module")
+def driven(console, tmp_path_factory):
+    """A drive of 4 s, its result and its folder."""
+    folder = tmp_path_factory.mktemp("drive")
     script = [
-        (0.2, slide("depth", 20)),
-        (0.3, slide("turn", 45)),
-        (0.4, slide("x", 8)),
-        (0.6, slide("gain", 0.5)),
-        (0.6, slide("force", 3.0)),
-        (1.5, click("save")),
-        (1.7, slide("depth", 15)),
-        (1.7, slide("azimuth", 10)),
+        (0.2, slide("depth", 30)),
+        (0.5, slide("turn", 45)),
+        (1.0, slide("x", 15)),
+        (1.5, slide("gain", 0.5)),
+        (1.5, slide("force", 3.0)),
+        (2.5, click("save")),
+        (3.0, slide("depth", 25)),
+        (3.0, slide("azimuth", 10)),
     ]
     operator = Operator(console, script)
-    result = drive(cheap(2.2), console, out=tmp_path, show=operator)
-    recorded = load_scenario(tmp_path / "scenario.yaml")
-    assert recorded.duration == 2.2
-    assert len(recorded.hand.pushes) > 4
+    result = drive(cheap(4.0), console, out=folder, show=operator)
+    return result, folder, operator
+
+
+def test_the_recorded_scenario_repeats_the_run(driven):
+    result, folder, _ = driven
+    recorded = load_scenario(folder / "scenario.yaml")
+    assert recorded.duration == 4.0
+    assert len(recorded.hand.pushes) > 5
     assert len(recorded.phantom_motion.moves) == 1
     assert [change.force for change in recorded.controller_changes] == [3.0]
     first, again = result.log, run(recorded).log
-    assert np.nanmax(first.inserted_length) == pytest.approx(0.02, abs=1e-3)
-    assert np.ptp(first.X_WT[:, 0, 3]) == pytest.approx(0.008, abs=1e-4)
+    assert np.nanmax(first.inserted_length) == pytest.approx(0.03, abs=1e-3)
+    assert np.ptp(first.X_WT[:, 0, 3]) == pytest.approx(0.015, abs=1e-4)
     for name in ("needle_points", "X_WT", "X_WP", "contact_force", "volume_estimate_tip"):
         np.testing.assert_allclose(getattr(again, name), getattr(first, name), rtol=0, atol=1e-9)
-    saved = load_scenario(tmp_path / "scenario_1.yaml")
-    assert 1.5 <= saved.duration < 2.2
-    assert saved.hand.pushes[:-1] == recorded.hand.pushes[: len(saved.hand.pushes) - 1]
-    assert {path.name for path in tmp_path.iterdir()} >= {"log.npz", "run.png", "report.html"}
-    assert json.loads((tmp_path / "summary.json").read_text())["force"]["rms_error_n"] is None
+
+
+def test_what_was_saved_on_the_way_is_a_scenario_too(driven):
+    _, folder, _ = driven
+    saved = load_scenario(folder / "scenario_1.yaml")
+    assert 2.5 <= saved.duration < 4.0
+    whole = load_scenario(folder / "scenario.yaml").hand.pushes
+    assert saved.hand.pushes[:-1] == whole[: len(saved.hand.pushes) - 1]
+
+
+def test_it_leaves_what_a_run_leaves(driven):
+    result, folder, operator = driven
+    names = {path.name for path in folder.iterdir()}
+    assert names >= {"scenario.yaml", "summary.json", "log.npz", "run.png", "report.html"}
+    assert json.loads((folder / "summary.json").read_text())["force"]["rms_error_n"] is None
+    np.testing.assert_array_equal(read_log(folder / "log.npz", RunLog).time, result.log.time)
     assert any("aim it when it is outside" in text for *_, text in operator.seen)
 
 
@@ -95,24 +118,28 @@ def test_pause_stops_time_and_none_is_made_up_for(console):
             resumed.append((time.perf_counter(), simulated))
 
     operator = Operator(console, [(0.5, click("pause"))])
-    result = drive(cheap(1.2), console, show=pause)
+    result = drive(cheap(2.0), console, show=pause)
     ((real, simulated),) = resumed
-    assert 0.5 <= simulated < 1.2
-    assert result.log.time[-1] == pytest.approx(1.2, abs=0.05)
+    assert 0.5 <= simulated < 1.5
+    assert result.log.time[-1] == pytest.approx(2.0, abs=0.05)
     for now, time_then, _ in operator.seen:
         assert time_then - simulated <= now - real + 0.1
 
 
-def test_a_restart_keeps_what_was_done_before_and_an_earlier_drive(console, tmp_path):
-    (tmp_path / "scenario.yaml").write_text("of an earlier drive")
-    operator = Operator(console, [(0.2, slide("depth", 20)), (0.7, click("restart"))])
-    result = drive(cheap(0.9), console, out=tmp_path, show=operator)
-    assert (tmp_path / "scenario_1.yaml").read_text() == "of an earlier drive"
-    before = load_scenario(tmp_path / "scenario_2.yaml")
-    assert before.duration >= 0.7
-    assert max(push.speed for push in before.hand.pushes) > 0
-    assert result.log.time[-1] == pytest.approx(0.9, abs=0.05)
+def test_a_restart_keeps_what_was_done_before(console, tmp_path):
+    operator = Operator(console, [(0.2, slide("depth", 20)), (1.2, click("restart"))])
+    result = drive(cheap(1.5), console, out=tmp_path, show=operator)
+    assert load_scenario(tmp_path / "scenario_1.yaml").duration >= 1.2
+    assert max(push.speed for push in load_scenario(tmp_path / "scenario_1.yaml").hand.pushes) > 0
+    assert result.log.time[-1] == pytest.approx(1.5, abs=0.05)
     assert not result.log.inserted_length.any()
+
+
+def test_an_earlier_drive_into_the_same_folder_is_kept(console, tmp_path):
+    (tmp_path / "scenario.yaml").write_text("of an earlier drive")
+    drive(cheap(0.5), console, out=tmp_path)
+    assert (tmp_path / "scenario_1.yaml").read_text() == "of an earlier drive"
+    assert load_scenario(tmp_path / "scenario.yaml").duration == 0.5
 
 
 @pytest.mark.parametrize(("reason", "status"), [("too much force", 3), (None, 0)])

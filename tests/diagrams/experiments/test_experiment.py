@@ -9,7 +9,6 @@ from sonoservo.diagrams import load_scenario, make_experiment, run, scan, tracke
 from sonoservo.diagrams.experiments.registry import (
     EXPERIMENTS,
     experiment_class,
-    presenter_class,
 )
 from sonoservo.diagrams.studies import make_dataset
 from sonoservo.systems.evaluation.log import columns
@@ -69,13 +68,10 @@ def test_a_second_start_gives_the_same_run_again(driven):
     assert {len(times) for times in experiment.compute.values()} == {count}
 
 
-def test_every_figure_of_the_table_is_in_the_summary(driven):
-    experiment, _, log = driven
-    summary = experiment.summarize(log)
-    labels = presenter_class(experiment.scenario.experiment).labels
-    assert labels
-    for path in labels:
-        assert path.split(".")[0] in summary
+def test_every_figure_of_the_table_is_in_the_summary(scenario):
+    result = run(scenario)
+    for path in result.labels:
+        assert path.split(".")[0] in result.summary
 
 
 def test_trackers_and_controllers_never_see_the_truth(scenario):

@@ -61,7 +61,7 @@ def test_local_optimization_is_better_than_the_best_sample():
     for refits, found in angles.items():
         ransac = dataclasses.replace(PARAMETERS.ransac, refits=refits)
         parameters = dataclasses.replace(PARAMETERS, ransac=ransac)
-        for seed in range(6):
+        for seed in range(12):
             volume = needle_volume(seed % 3)
             k = localize_in_whole_volume(
                 volume, TOWARDS, parameters, np.random.default_rng(seed)
