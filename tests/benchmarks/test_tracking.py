@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from synthetic_volumes import Scene, entry_on_side
+from synthetic_volumes import ENTRY, Scene
 
 from sonoservo.diagrams.papers.zhao2012.phantom import DIRECTION, TOWARDS, Phantom, StraightNeedle
 from sonoservo.diagrams.papers.zhao2012.tracking import BMode, Tracking
@@ -12,7 +12,6 @@ from sonoservo.systems.signals import NeedleCurve, NeedlePrediction
 from sonoservo.systems.tracking import NeedleLocalizerParameters, localize
 from sonoservo.systems.tracking.line_belief import LineBelief, follow
 
-ENTRY = entry_on_side()
 TIP = ENTRY + np.array([0.045, 0.012, 0.005])
 
 

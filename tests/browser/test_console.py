@@ -5,7 +5,7 @@ from contextlib import closing
 import numpy as np
 import pytest
 from page_clients.browser_view import eventually, screenshot
-from synthetic_volumes import Scene, entry_on_side
+from synthetic_volumes import ENTRY, Scene
 
 from sonoservo.systems.display import Console, Site
 from sonoservo.systems.display.colours import MODE_COLOURS
@@ -15,7 +15,6 @@ from sonoservo.systems.display.console.shape_page import PATHS, ShapePage
 from sonoservo.systems.display.console.slices import SlicePicture, slice_pictures
 from sonoservo.systems.signals import NeedleCurve, NeedleEstimate, TrackingMode
 
-ENTRY = entry_on_side()
 TIPS = [ENTRY + np.array([0.045, 0.010, 0.004]), ENTRY + np.array([0.070, 0.014, 0.010])]
 SIZES = [(1024, 768), (768, 1024)]
 SEARCHING = "nothing changed by more than 3.0 dB"

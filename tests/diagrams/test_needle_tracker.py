@@ -5,7 +5,7 @@ import pytest
 from pydrake.common.value import Value
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import LeafSystem
-from synthetic_volumes import Scene, entry_on_side
+from synthetic_volumes import ENTRY, K, Scene
 
 from sonoservo.diagrams import MakeNeedleTracker, track
 from sonoservo.diagrams.needle_tracker import require_tracker
@@ -28,8 +28,6 @@ SCENE = Scene(
     balls=[([0.01, 0.06, 0.008], 2e-3)],
     rods=[([0.0, 0.07, 0.0], [0.012, 0.072, 0.003])],
 )
-ENTRY = entry_on_side()
-K = np.array([1, 0.25, 0.1]) / np.linalg.norm([1, 0.25, 0.1])
 
 
 AGAIN = 46

@@ -2,7 +2,7 @@
 
 import numpy as np
 from pydrake.math import RigidTransform
-from synthetic_volumes import Scene, entry_on_side
+from synthetic_volumes import ENTRY, K, Scene
 
 from sonoservo.systems.evaluation.explanation.explained_volume import explain_volume
 from sonoservo.systems.signals import (
@@ -17,8 +17,6 @@ from sonoservo.systems.tracking import NeedleLocalizerParameters
 from sonoservo.systems.tracking.pipeline import explain_localization
 
 SCENE = Scene(seed=5, spacing=1.2e-3)
-ENTRY = entry_on_side()
-K = np.array([1, 0.25, 0.1]) / np.linalg.norm([1, 0.25, 0.1])
 NEEDLE = np.array([ENTRY, ENTRY + 30e-3 * K])
 
 

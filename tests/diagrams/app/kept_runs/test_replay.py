@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from commands import sonoservo_here
 from synthetic_logs import build_insertion_log
-from synthetic_volumes import Scene, entry_on_side
+from synthetic_volumes import ENTRY, Scene
 
 from sonoservo.diagrams import load_scenario
 from sonoservo.diagrams.app.kept_runs.replay import log_samples, read_replay
@@ -25,7 +25,6 @@ from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.writing import write_atomically, write_json
 from sonoservo.systems.signals import NeedleCurve, NeedleEstimate, TrackingMode
 
-ENTRY = entry_on_side()
 TIP = ENTRY + np.array([0.045, 0.010, 0.004])
 
 

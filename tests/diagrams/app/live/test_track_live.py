@@ -9,7 +9,7 @@ import pytest
 from live_items import FakeOutlet, wait_until
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.systems.primitives import Gain
-from synthetic_volumes import Scene, entry_on_side
+from synthetic_volumes import ENTRY, K, Scene
 
 from sonoservo.diagrams import load_scenario, run, track_recording, tracker_parameters
 from sonoservo.diagrams.app.cli import run_arguments
@@ -25,8 +25,6 @@ from sonoservo.systems.recording import Recording, RecordingWriter
 from sonoservo.systems.recording.side_files import ACQUISITION, side_path
 
 COUNT = 10
-ENTRY = entry_on_side()
-K = np.array([1, 0.25, 0.1]) / np.linalg.norm([1, 0.25, 0.1])
 
 
 def needle(time):

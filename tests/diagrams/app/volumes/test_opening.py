@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 from pydrake.math import RigidTransform, RollPitchYaw
-from synthetic_volumes import Scene, entry_on_side
+from synthetic_volumes import ENTRY, K, Scene
 from tracked_frames import freehand, write_plus_file
 
 from sonoservo.diagrams import track_recording, tracker_parameters
@@ -14,10 +14,6 @@ from sonoservo.diagrams.app.volumes.opening import ReconstructedRecording
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.ultrasound.frame_reconstruction import PosedFrame
 
-K = np.array([1, 0.25, 0.1]) / np.linalg.norm([1, 0.25, 0.1])
-
-
-ENTRY = entry_on_side()
 TIP = ENTRY + 0.03 * K
 X_WP = RigidTransform(RollPitchYaw(0.3, -0.2, 0.5), [0.1, 0.2, 0.3])
 

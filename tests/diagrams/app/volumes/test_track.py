@@ -11,7 +11,7 @@ import pytest
 from pydrake.common.value import Value
 from pydrake.systems.framework import LeafSystem
 from recordings import tracked, write_meta_image, write_sequence_nrrd
-from synthetic_volumes import Scene, entry_on_side
+from synthetic_volumes import ENTRY, K, Scene
 
 from sonoservo.diagrams import load_scenario, run, track, track_recording, tracker_parameters
 from sonoservo.diagrams.benchmark.estimates import OPTIONAL, REQUIRED
@@ -109,8 +109,6 @@ def test_sweeps_are_recorded_as_acquired(live):
 
 SCENE = Scene(seed=5, spacing=1.2e-3)
 STEPS = (1.2, 1.2, 1.2)
-ENTRY = entry_on_side()
-K = np.array([1, 0.25, 0.1]) / np.linalg.norm([1, 0.25, 0.1])
 
 
 def needle(time):

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from pydrake.math import RigidTransform
 from scipy.optimize import minimize
-from synthetic_volumes import GEOMETRY, Scene, entry_on_side
+from synthetic_volumes import ENTRY, GEOMETRY, Scene
 
 from sonoservo.diagrams.papers.chatelain2013.method.detection import (
     PublishedDetectionParameters,
@@ -17,7 +17,6 @@ from sonoservo.diagrams.papers.chatelain2013.method.detection import (
     top_differences,
 )
 
-ENTRY = entry_on_side()
 INWARD = np.array([1, 0.2, 0.1]) / np.linalg.norm([1, 0.2, 0.1])
 SCENE = Scene(seed=1, spacing=1.0e-3, balls=[([0.01, 0.06, 0.005], 2e-3)])
 SHAPE = (17, 13, 11)
