@@ -6,20 +6,27 @@ by the present definitions. They name the commit that made the runs, and say so 
 runs has changed since.
 """
 
+import gzip
 import json
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields
 from functools import cache
 from html import escape
 from importlib import import_module
-from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-from sonoservo.diagrams.studies.fingerprint import OLD, RECORDS
-from sonoservo.diagrams.studies.records import Records, read_records, write_records
+from numba import config
+
+from sonoservo.diagrams.studies.fingerprint import OLD, RECORDS, code_fingerprint, made_with
+from sonoservo.diagrams.studies.records import (
+    Records,
+    present_commit,
+    read_records,
+    write_records,
+)
 from sonoservo.diagrams.studies.study import Outcome
 from sonoservo.diagrams.studies.study_report import (
     Study,
@@ -82,7 +89,13 @@ def kept_results(paper: str) -> dict[str, Any] | None:
             f"sonoservo.diagrams.{study_room(paper)}.{paper}.reproduction"
         ).report
         study: Study = report(records.outcomes)
-        made = {"commit": records.commit, "outdated": records.is_outdated}
+        kept = _content(paper).get("repeats", ())
+        repeats = [each for each in kept if each["code"] == _present_code(each["code"])]
+        made = {
+            "commit": records.commit,
+            "outdated": records.is_outdated and not repeats,
+            "repeats": repeats,
+        }
         return study.as_json(records.command) | made
     old = _folder(paper) / OLD
     if not old.is_file():
@@ -93,6 +106,40 @@ def kept_results(paper: str) -> dict[str, Any] | None:
 def kept_records(paper: str) -> Records | None:
     """Return the records of the kept runs of a paper, a study or the benchmark; None if none."""
     return read_records(_folder(paper) / RECORDS)
+
+
+def keep_repeat(name: str, runs: int) -> None:
+    """Keep beside a study's records that so many of its runs, made again now, gave the same.
+
+    The tables then say so, and no longer that the code has changed. ConfigurationError if the
+    present code is not committed.
+    """
+    path, commit = _folder(name) / RECORDS, present_commit()
+    if commit.endswith("+"):
+        raise ConfigurationError(f"--keep: the code of {commit} was not committed")
+    content = _content(name)
+    modules = dict.fromkeys(each["module"] for each in content["made_by"])
+    repeat = {
+        "code": _present_code(modules),
+        "for": config.CPU_NAME or made_with()["instruction set"],
+    }
+    others = [each for each in content.get("repeats", ()) if {**each, **repeat} != each]
+    content["repeats"] = [*others, {**repeat, "commit": commit, "runs": runs}]
+    text = json.dumps(content, separators=(",", ":"))
+    write_atomically(path, gzip.compress(text.encode(), mtime=0))
+    kept_results.cache_clear()
+    write_tables()
+
+
+def _present_code(modules: Iterable[str]) -> dict[str, str]:
+    """Return the present fingerprints of the code of some modules."""
+    return {each: code_fingerprint(each) for each in modules}
+
+
+def _content(name: str) -> dict[str, Any]:
+    """Return the content of the file of a study's records; see `write_records`."""
+    content: dict[str, Any] = json.loads(gzip.decompress((_folder(name) / RECORDS).read_bytes()))
+    return content
 
 
 def study_room(name: str) -> str:
@@ -110,6 +157,11 @@ def results_table(kept: Mapping[str, Any], rows: str) -> str:
     seeds = " to ".join(map(str, dict.fromkeys((numbers[0], numbers[-1]))))
     source = f"Commit {kept['commit'][:10]}, `{kept['command']}`, {seeds} seeds an experiment"
     changed = CHANGED if kept.get("outdated") else ""
+    for each in kept.get("repeats", ()):
+        changed += (
+            f" {each['runs']} of the runs, made again by commit {each['commit'][:10]} "
+            f"({each['for']}), gave the same figures."
+        )
     if rows == "thresholds":
         return f"{source}.{changed}\n\n{_thresholds_table(kept['thresholds'])}"
     if rows == "experiments":
@@ -120,10 +172,12 @@ def results_table(kept: Mapping[str, Any], rows: str) -> str:
     head = f"{source}: {met}.{changed}\n\n"
     if rows == "published":
         return head + _first_table(shown).markdown()
-    groups = groupby(shown, lambda row: row.experiment)
+    groups: dict[str, list[StudyRow]] = {}
+    for each in shown:
+        groups.setdefault(each.experiment, []).append(each)
     behind = kept.get("published_better")
     head += f"{behind}\n\n" if behind else ""
-    return head + "\n\n".join(_folded(name, list(each)) for name, each in groups)
+    return head + "\n\n".join(_folded(name, each) for name, each in groups.items())
 
 
 def _first_table(rows: Sequence[StudyRow]) -> Table:

@@ -14,7 +14,7 @@ ALONG = np.linspace([0, 0.02, 0], [0.03, 0.03, 0.01], 60)
 
 
 def truth(contrast=12.0):
-    return Truth(ALONG[0], ALONG[-1], ALONG, np.full(len(ALONG), contrast), 0.5e-3, 0.03)
+    return Truth(ALONG[0], ALONG[-1], ALONG, np.full(len(ALONG), contrast), 0.5e-3)
 
 
 def test_errors_are_told_apart():

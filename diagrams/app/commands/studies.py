@@ -166,12 +166,12 @@ def reproduce_command(
     for each in papers:
         require_paper(each)
     if repeat is not None:
-        if quick or seeds or first_seed or only or finished or keep or results.out:
+        if quick or seeds or first_seed or only or finished or results.out:
             raise ConfigurationError(
                 "--repeat: it takes the kept runs as they are; leave out --quick, --seeds, "
-                "--first-seed, --only, --finished, --keep and --out"
+                "--first-seed, --only, --finished and --out"
             )
-        _repeat(papers, repeat, workers, results)
+        _repeat(papers, repeat, workers, results, keep=keep)
         return
     if keep and (quick or first_seed or only):
         raise ConfigurationError(
@@ -222,9 +222,12 @@ def reproduce_command(
     write_printed(results.json_path, data)
 
 
-def _repeat(papers: Iterable[str], number: int, workers: Workers, results: Results) -> None:
+def _repeat(
+    papers: Iterable[str], number: int, workers: Workers, results: Results, *, keep: bool
+) -> None:
     """Make some kept runs of each paper again; exit status 1 if any gives other figures."""
     from sonoservo.diagrams.papers.repeats import repeat_kept_runs
+    from sonoservo.diagrams.papers.results import keep_repeat
     from sonoservo.diagrams.studies.study import StudyOptions
 
     made = {}
@@ -240,6 +243,8 @@ def _repeat(papers: Iterable[str], number: int, workers: Workers, results: Resul
             say(f"{each.name}: {each.difference}")
         same = len(made[paper]) - len(differ)
         say(f"{paper}: {same} of {len(made[paper])} kept runs gave the same figures again")
+        if keep and not differ:
+            keep_repeat(paper, same)
     rows = {paper: [asdict(each) for each in repeats] for paper, repeats in made.items()}
     write_printed(results.json_path, rows)
     if any(each.difference for repeats in made.values() for each in repeats):

@@ -131,9 +131,10 @@ def plot_errors(
         axes.set_yscale("log")
         axes.set_ylim(bottom=max(axes.get_ylim()[0], 3e-3))
         axes.set_xticks(5 * np.arange(len(results)) + 1.5, list(results))
-        axes.set_ylabel(f"{key} error ({unit}); dot: mean, box: quartiles, whiskers: all")
+        axes.set_ylabel(f"{key} error ({unit})")
         axes.grid(alpha=0.3, axis="y")
     figure.axes[0].legend(frameon=False, fontsize="small")
+    figure.supxlabel("Dot: mean; box: quartiles; whiskers: all needles.", fontsize="small")
     return figure
 
 

@@ -9,6 +9,7 @@ import pytest
 from sonoservo.diagrams.papers import results
 from sonoservo.diagrams.studies import records
 from sonoservo.diagrams.studies.fingerprint import made_by
+from sonoservo.diagrams.studies.records import Records
 from sonoservo.diagrams.studies.study import Case, Outcome
 from sonoservo.diagrams.studies.study_report import Study, StudyRow
 from sonoservo.systems.files.refusals import ConfigurationError
@@ -141,3 +142,27 @@ def test_where_the_published_method_is_better_stands_before_the_tables(study, da
     said = replace(study, rows=[better, other_side]).as_json("")["published_better"]
     assert said == "The published method is better in fig5: at rest (mm)."
     assert said in results.results_table(data | {"published_better": said}, "all")
+
+
+def test_a_repeat_of_some_runs_says_that_other_code_gives_the_same_figures(
+    study, house, monkeypatch
+):
+    page = house[0] / "page.md"
+    results.keep_records({"chatelain2013": study.outcomes}, "sonoservo reproduce all")
+    monkeypatch.setattr(Records, "is_outdated", True)  # as after a change of the code
+    results.kept_results.cache_clear()
+    assert results.CHANGED in results.with_tables(page.read_text())
+    monkeypatch.setattr(results, "present_commit", lambda: "def")
+    for _ in range(2):
+        results.keep_repeat("chatelain2013", 20)
+    again = " 20 of the runs, made again by commit def ("
+    assert page.read_text().count(again) == 1
+    assert results.CHANGED not in page.read_text()
+    monkeypatch.setattr(results, "code_fingerprint", lambda module: "changed once more")
+    results.kept_results.cache_clear()
+    text = results.with_tables(page.read_text())
+    assert results.CHANGED in text
+    assert again not in text
+    monkeypatch.setattr(results, "present_commit", lambda: "def+")
+    with pytest.raises(ConfigurationError, match="not committed"):
+        results.keep_repeat("chatelain2013", 20)

@@ -130,7 +130,7 @@ def test_velocity_is_proportional_and_limited():
         assert approach_velocity(state, parameters) == pytest.approx(expected)
 
 
-@pytest.mark.parametrize("stiffness", [500.0, 1000.0, 1500.0])
+@pytest.mark.parametrize("stiffness", [500.0, 1500.0])
 def test_a_spring_is_pressed_with_the_wanted_force(stiffness):
     parameters = ForceControllerParameters()
     state, depth, forces = ForceState(), -0.01, []

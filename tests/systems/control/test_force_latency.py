@@ -24,7 +24,7 @@ def measured_latency(lag, *, contact=0.0, seed=0, pulse=0.5):
     return last
 
 
-@pytest.mark.parametrize("lag", [0, 3, 5, 10, 30])
+@pytest.mark.parametrize("lag", [0, 5, 30])
 def test_a_latency_is_found_to_the_step(lag):
     assert measured_latency(lag) == pytest.approx(lag * STEP, abs=1e-9)
 

@@ -13,14 +13,7 @@ from sonoservo.systems.control.guard_parameters import (
     GuardParameters,
     time_above,
 )
-from sonoservo.systems.control.guard_rules import (
-    CAUSES,
-    RULES,
-    Reaction,
-    beyond,
-    reason,
-    remark,
-)
+from sonoservo.systems.control.guard_rules import CAUSES, RULES, Reaction, beyond, reason, remark
 from sonoservo.systems.control.guard_sight import Mode, Sight, region
 
 LIMITS = GuardParameters()
@@ -75,9 +68,8 @@ BROKEN = {
 }
 
 
-@pytest.mark.parametrize(("zero", "steps"), [(0.0, 3000), (0.5, 20000)])
-def test_nothing_happens_to_a_calm_contact_even_if_zeros_differ(zero, steps):
-    memory, causes = judged(look(number, 2.0 + zero, 2.0) for number in range(steps))
+def test_nothing_happens_to_a_calm_contact_even_if_zeros_differ():
+    memory, causes = judged(look(number, 2.5, 2.0) for number in range(8000))
     assert set(causes) == {""}
     assert remark(memory.noticed) == ""
     numbers = memory.pack()
@@ -121,19 +113,16 @@ def test_a_sensor_that_is_wrong_in_every_other_sample_is_found():
 @pytest.mark.parametrize(("difference", "within"), [(2.0, 0.2), (3.0, 0.06), (6.0, 0.03)])
 def test_a_greater_disagreement_is_found_earlier(difference, within):
     times = []
-    for start in range(0, 20000, 1000):
-        sights = [
-            look(start + number, 2.0 + difference * (number >= 50), 2.0) for number in range(150)
-        ]
-        _, causes = judged(each._replace(time=n * STEP) for n, each in enumerate(sights))
-        times.append((causes.index("disagree") - 49) * STEP)
+    for start in range(0, 9000, 1000):
+        wrist = 2.0 + difference * (np.arange(150) >= 50)
+        sights = (look(start + n, each, 2.0, time=n * STEP) for n, each in enumerate(wrist))
+        times.append((judged(sights)[1].index("disagree") - 49) * STEP)
     assert np.median(times) <= within
 
 
 @pytest.mark.parametrize(
     ("p", "axis", "out"),
     [
-        ((0.5, 0.0, 0.2), DOWN, False),
         ((0.5, 0.0, 0.181), DOWN, False),
         ((0.5, 0.0, 0.179), DOWN, True),
         ((0.76, 0.0, 0.2), DOWN, True),
@@ -200,8 +189,6 @@ def test_the_time_above_15_n_is_that_of_a_simulated_retreat():
     [
         ({"max_force": 14.0}, "would press with more than 15 N for .* ms, more than 50 ms"),
         ({"retreat_acceleration": 2.0}, "at 2 m/s.2: a body that rises at 0.1 m/s would press"),
-        ({"max_retreat": 1e-4}, "max_retreat: 0.0001 .* from 0.08 to 0.3"),
-        ({"surface": [0.1]}, "surface: "),
         ({"workspace_min": [0, 0, 0], "workspace_max": [1, 1, 0]}, "workspace_min: .* below"),
     ],
 )

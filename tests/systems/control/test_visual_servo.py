@@ -19,13 +19,9 @@ PAPER = VisualServoParameters(gain=0.8, feed_forward=False, max_speed=1, max_ang
 
 
 def estimate(
-    *,
-    tip_P=(0.01, 0.04, 0.02),
-    direction_P=(1.0, 0.1, 0.2),
-    velocity_P=(0.0, 0.0, 0.0),
-    mode=TrackingMode.TRACKING,
-    time=0.0,
-):
+    *, tip_P=(0.01, 0.04, 0.02), direction_P=(1.0, 0.1, 0.2), velocity_P=(0.0, 0.0, 0.0),
+    mode=TrackingMode.TRACKING, time=0.0,
+):  # fmt: skip
     tip_P, direction_P = np.array(tip_P), np.array(direction_P)
     curve = NeedleCurve(np.array([tip_P - 0.05 * direction_P, tip_P])).transformed(X_WP)
     velocity = np.vstack([np.zeros(3), X_WP.rotation().multiply(velocity_P)])
@@ -70,12 +66,6 @@ def test_feed_forward_carries_the_tip_on_to_now():
 )
 def test_probe_rests_without_a_fresh_needle(seen, time, parameters):
     np.testing.assert_array_equal(planar_velocity(seen, X_WP, time, parameters), 0)
-
-
-def test_without_feed_forward_the_tip_s_velocity_does_not_count():
-    still = planar_velocity(estimate(), X_WP, 0.2, PAPER)
-    moving = planar_velocity(estimate(velocity_P=(0.005, 0, 0.0005)), X_WP, 0.2, PAPER)
-    np.testing.assert_allclose(moving, still, atol=1e-12)
 
 
 def test_coasting_goes_on_but_feeds_nothing_forward():
@@ -130,53 +120,38 @@ STEP = PERIOD / 30
 START = RigidTransform(RotationMatrix.MakeXRotation(-np.pi / 2), [0.5, 0, 0.2])
 
 
-def servo(gain, *, feed_forward=False, speed=0.0, in_image=False, seconds=14.0):
-    """Close the loop, with an estimate that is one volume old when it comes.
+def servo(gain, *, feed_forward=False, speed=0.0):
+    """Close the loop, with an estimate that is one volume old; (k, 3) true features at every step.
 
-    ``in_image`` holds the features as they were in the image (Chatelain 2013); else the estimate in
-    W is seen from where the probe is now.
-
-    Returns
-    -------
-    (k, 3) true features at every step.
+    The estimate in W is seen from where the probe is now. Features held as they were in the image
+    (Chatelain 2013) would diverge at gains above 3.3.
     """
     parameters = VisualServoParameters(
         gain=gain, feed_forward=feed_forward, max_speed=10.0, max_angular_speed_deg=1e4
     )
     direction = START.rotation().multiply(np.array([1.0, 0.1, -0.5]) / np.sqrt(1.26))
     X_WP, poses, features = START, [], []
-    for step in range(round(seconds / STEP)):
+    for step in range(round(14.0 / STEP)):
         time = step * STEP
         tip = START.multiply([0.02, 0.05, 0.01]) + speed * time * direction
         R_PW = X_WP.rotation().inverse()
         features.append(needle_features(X_WP.inverse().multiply(tip), R_PW.multiply(direction)))
         if step % 30 == 0:
-            poses.append((time, tip, X_WP))
-            acquired, tip_then, X_then = poses[max(len(poses) - 2, 0)]
+            poses.append((time, tip))
+            acquired, tip_then = poses[max(len(poses) - 2, 0)]
             curve = NeedleCurve(np.array([tip_then - 0.05 * direction, tip_then]))
             velocity = np.array([np.zeros(3), speed * direction])
             estimate = NeedleEstimate(
                 TrackingMode.TRACKING, acquired, curve, velocity, 1e-8 * np.eye(12)
             )
-        seen_from, now = (X_then, acquired) if in_image else (X_WP, time)
-        v_x, v_z, omega = planar_velocity(estimate, seen_from, now, parameters)
+        v_x, v_z, omega = planar_velocity(estimate, X_WP, time, parameters)
         turn = RotationMatrix.MakeYRotation(omega * STEP)
         X_WP = X_WP.multiply(RigidTransform(turn, [v_x * STEP, 0, v_z * STEP]))
     return np.array(features)
 
 
-@pytest.mark.parametrize("gain", [VisualServoParameters().gain, 3.0])
-def test_features_held_for_a_volume_converge_below_the_limit(gain):
-    assert np.abs(servo(gain, in_image=True, seconds=60)[-1]).max() < 1e-4
-
-
-def test_features_held_for_a_volume_diverge_above_it():
-    theta = servo(3.6, in_image=True)[:, 2]
-    assert np.abs(theta[-100:]).max() > 2 * np.abs(theta[:100]).max()
-
-
-@pytest.mark.parametrize("gain", [VisualServoParameters().gain, 3.6, 8.0])
-def test_an_estimate_in_the_world_frame_has_no_such_limit(gain):
+@pytest.mark.parametrize("gain", [VisualServoParameters().gain, 8.0])
+def test_an_estimate_in_the_world_frame_converges_at_any_gain(gain):
     features = servo(gain)
     assert np.abs(features[-1]).max() < 1e-4
     assert np.abs(features[:, 2]).max() <= np.abs(features[0, 2]) + 1e-9

@@ -2,11 +2,7 @@ import numpy as np
 import pytest
 from pydrake.systems.analysis import Simulator
 
-from sonoservo.systems.needle.hand import (
-    SPEED,
-    OperatorHand,
-    appended,
-)
+from sonoservo.systems.needle.hand import SPEED, OperatorHand, appended
 from sonoservo.systems.needle.insertion import Insertion
 from sonoservo.systems.needle.insertion_parameters import InsertionParameters, Push
 
@@ -23,7 +19,7 @@ def drive(targets, **changes):
     simulator = Simulator(hand)
     context = simulator.get_mutable_context()
     port = hand.GetInputPort("needle_target")
-    seen, times = [], np.arange(0, 12, 1 / 60)
+    seen, times = [], np.arange(0, 12, 1 / 20)
     for time in times:
         port.FixValue(context, next(t for start, t in reversed(targets) if start <= time))
         simulator.AdvanceTo(time)
@@ -39,7 +35,7 @@ def test_what_is_recorded_moves_the_needle_in_the_same_way():
     ]
     insertion, times, seen = drive(targets)
     again = make_insertion(insertion.parameters.pushes)
-    assert sum(map(bool, seen)) > 300
+    assert sum(map(bool, seen)) > 100
     for time, needle in zip(times, seen, strict=True):
         np.testing.assert_allclose(again.needle(time).shaft, needle.shaft, rtol=0, atol=1e-12)
 
@@ -48,7 +44,7 @@ def test_it_goes_where_it_is_wanted_and_not_beyond():
     insertion, times, seen = drive([(0.0, [0.05, 1.0, 0, 0])])
     depths = np.array([needle.length for needle in seen])
     assert depths.max() < 0.05 + 5e-4  # tremor
-    assert np.diff(depths).max() * 60 < SPEED + 0.02  # tremor moves it besides
+    assert np.diff(depths).max() * 20 < SPEED + 0.02  # tremor moves it besides
     assert depths[times > 5].mean() == pytest.approx(0.05, abs=5e-5)
     assert sum(push.duration * push.turning_deg for push in insertion.parameters.pushes) == (
         pytest.approx(np.rad2deg(1.0))
@@ -83,7 +79,7 @@ def test_a_straight_needle_is_aimed_anew_once_it_is_withdrawn_to_20_mm():
     assert depths[times < 3] == pytest.approx(0.04)
     assert (angles[depths > 0.0205][: (times < 4).sum()] == 0).all()
     assert angles[times > 6] == pytest.approx(0.3)
-    assert np.abs(np.diff(angles)).max() < np.deg2rad(30) / 60 * 1.6
+    assert np.abs(np.diff(angles)).max() < np.deg2rad(30) / 20 * 1.6
     again = make_insertion(insertion.parameters.pushes, **straight)
     for time, needle in zip(times, seen, strict=True):
         np.testing.assert_allclose(again.needle(time).shaft, needle.shaft, rtol=0, atol=1e-12)

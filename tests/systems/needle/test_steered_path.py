@@ -34,14 +34,6 @@ def paths(draw):
     )  # fmt: skip
 
 
-@given(turn=ANGLES, distance=st.floats(0, 0.3))
-def test_one_arc_is_a_circle(turn, distance):
-    (found,) = SteeredPath(R, roll=turn).positions(np.array([distance]))
-    along, aside = R * np.sin(distance / R), R * (1 - np.cos(distance / R))
-    wanted = [along, aside * np.cos(turn), aside * np.sin(turn)]
-    np.testing.assert_allclose(found, wanted, atol=1e-15)
-
-
 @given(radius=st.floats(0.3, 5.0), roll=ANGLES, angle=TILTS, rotations=ROTATIONS)
 def test_rotations_by_180_deg_give_the_closed_form_of_the_bicycle_model(
     radius, roll, angle, rotations
@@ -57,19 +49,6 @@ def test_length_of_the_path_is_the_distance_pushed(path, cut):
     s = np.linspace(0, 0.06, 2401)
     steps = np.linalg.norm(np.diff(path.positions(s, cut), axis=0), axis=1)
     assert steps.sum() == pytest.approx(0.06, rel=1e-6)
-
-
-@given(radius=RADII, roll=ANGLES, angle=TILTS, rotations=ROTATIONS, cut=st.none() | CUTS)
-def test_curvature_is_that_of_the_bevel_everywhere(radius, roll, angle, rotations, cut):
-    step = 1e-3
-    points = SteeredPath(radius, roll, angle, rotations).positions(np.arange(0, 0.08, step), cut)
-    a, b, c = points[:-2], points[1:-1], points[2:]
-    sides = [np.linalg.norm(u, axis=1) for u in (b - a, c - b, c - a)]
-    # Menger's curvature of three points: exact on a circle, less where the bevel is turned.
-    curvature = 2 * np.linalg.norm(np.cross(b - a, c - b), axis=1) / np.prod(sides, axis=0)
-    assert curvature.max() <= (1 / radius) * (1 + 1e-6) + 1e-6
-    turns = len(rotations) + (0 if cut is None else len(cut[0]))
-    assert np.sum(np.abs(curvature * radius - 1) > 1e-3) <= 2 * turns
 
 
 @given(path=paths(), depth=st.floats(1e-3, 0.05))

@@ -77,27 +77,16 @@ def test_motors_and_speed_limits_that_the_model_lacks_are_added(own, tmp_path):
     ("old", "new", "message"),
     [
         ("viper_s850.urdf", "nowhere.urdf", "directives.0.add_model.file: there is no file .*now"),
-        ("viper_s850.urdf", "package://sonoservo/nowhere.urdf", "nowhere.urdf.* does not exist"),
         ("arm::base_link", "arm::base", "no Frame named 'base'.*link_6"),
-        ("parent: world", "parent: wrld", "no Frame named 'wrld'"),
         ("flange: flange", "flange: tool0", "flange: the model has no frame 'tool0'.*link_6"),
         ("p: [2.0e5, ", "p: [", r"servo.p: .* must be 6 numbers, one for each joint"),
-        ("d: [2.0e3, ", "d: [2.0e3, 2.0e3, ", r"servo.d: .* must be 6 numbers"),
-        ("p: [2.0e5", "p: [-1", r"servo.p.0: -1.0"),
         ("joint_2: [-1.9198621771937625]", "joint_2: [-110]", "default_joint_positions.joint_2"),
-        ("joint_2:", "joint_9:", "no Joint named 'joint_9'"),
         ("name: arm", "name: robot", "no model instance named 'arm'"),
         ('child: "arm::base_link"', "child: world", "directives.1.add_weld.child: 'world'"),
         (', child: "arm::base_link"', "", "directives.1.add_weld.child: is missing"),
         ("add_weld:", "add_wld:", "directives.1.add_wld: unknown.*add_weld"),
         ('"arm::base_link"', '"arm::base_link", X_PC: {rotation: !Rpi {}}', "Rpi"),
-        (
-            '"arm::base_link"',
-            '"arm::base_link", X_PC: {rotation: !Rpy {deg: [1, 2]}}',
-            r"Rpy.*array",
-        ),
         ("flange: flange", "flange: flange\nmax_speed: [1]", "max_speed: .*6 numbers"),
-        ("flange: flange", "flnge: flange", "flnge: unknown field; did you mean 'flange'"),
         ('  - add_weld: {parent: world, child: "arm::base_link"}', "", "no add_weld joins"),
     ],
 )
@@ -116,14 +105,9 @@ def test_a_mistake_names_the_file_and_the_field(own, old, new, message):
             r"max_speed of joint_1: 0\.0 is not .*cannot move",
         ),
         (r"(?s)<inertial>.*?</inertial>", "", "joint_1 moves link_1, which has no mass"),
-        (
-            r"(?s)<inertial>.*?</inertial>(?=.*link_6)",
-            "",
-            "joint_1 moves link_1, which has no mass",
-        ),
         (r'(joint_6" type=)"revolute"', r'\1"continuous"', ""),
     ],
-    ids=["no speed", "no inertia", "light links", "continuous"],
+    ids=["no speed", "no inertia", "continuous"],
 )
 def test_arm_that_cannot_move_is_refused(own, tmp_path, pattern, new, message):
     path = own()

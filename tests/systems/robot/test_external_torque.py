@@ -8,18 +8,11 @@ from pydrake.systems.primitives import LogVectorOutput, TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
 from sonoservo.diagrams.assembly import assemble_arm
-from sonoservo.diagrams.station import (
-    MakeStation,
-    ProbePlacement,
-    StationParameters,
-    start_posture,
-)
+from sonoservo.diagrams.station import MakeStation, ProbePlacement, StationParameters, start_posture
 from sonoservo.systems.robot.arm import load_arm
 
 
-@pytest.mark.parametrize(
-    ("arm", "step"), [("viper_s850", 0.01), ("viper_s850", 0.001), ("lbr_iiwa_14", 0.005)]
-)
+@pytest.mark.parametrize(("arm", "step"), [("viper_s850", 0.01), ("lbr_iiwa_14", 0.005)])
 def test_the_torques_are_those_of_the_contact_while_the_arm_moves(arm, step):
     """The true contact force, which is no input, is the referee."""
     parameters = StationParameters(

@@ -6,7 +6,6 @@ from pydrake.systems.analysis import Simulator
 from sonoservo.systems.robot.operator_phantom_motion import OperatorPhantomMotion
 from sonoservo.systems.robot.phantom_motion import (
     Breathing,
-    Move,
     PhantomMotionParameters,
     next_move,
     phantom_trajectory,
@@ -41,15 +40,6 @@ def test_a_flood_of_targets_becomes_moves_that_give_the_same_motion(breathes):
     # From rest to rest the highest speed is half as high again as the mean.
     assert (np.abs(seen)[:, 6:9].max(axis=0) <= 1.5 * np.array(SPEED[:3]) + 1e-9).all()
     np.testing.assert_allclose(seen[-1], [0.52, -0.01, 0.205, 0, 0, 0.2, *6 * [0]], atol=1e-8)
-
-
-def test_a_move_under_way_is_finished_first():
-    moves = [Move(start=1.0, duration=0.5, translation=[0.02, 0.0, 0.0])]
-    target = [0.02, 0.02, 0, 0, 0, 0]
-    assert next_move(moves, target, 1.4, speed=SPEED) is None
-    move = next_move(moves, target, 1.5, speed=SPEED)
-    assert (move.start, move.duration, move.translation) == (1.5, 0.5, [0.0, 0.02, 0.0])
-    assert next_move([*moves, move], target, 3.0, speed=SPEED) is None
 
 
 def test_the_slowest_axis_sets_the_duration():

@@ -18,7 +18,7 @@ def test_probe_looks_down_on_the_phantom():
     np.testing.assert_allclose(R_TP[:, 1], [0, 0, -1], atol=1e-15)
 
 
-@settings(max_examples=20)
+@settings(max_examples=10)
 @given(
     arm=st.sampled_from([VIPER, IIWA]),
     x=st.floats(-0.06, 0.06),
@@ -44,8 +44,8 @@ def test_a_redundant_arm_finds_every_pose_that_it_reaches():
     # The solver gives up on some fifteenth of these if it starts at home and wants the nearest.
     poses = [
         probe_pose(X_WT=X_WT, x=x, y=0, yaw=yaw, height=0)
-        for x in np.linspace(-0.06, 0.06, 7)
-        for yaw in np.linspace(-np.pi / 3, np.pi / 3, 9)
+        for x in np.linspace(-0.06, 0.06, 5)
+        for yaw in np.linspace(-np.pi / 3, np.pi / 3, 7)
     ]
     assert all(reachable(IIWA, poses))
 

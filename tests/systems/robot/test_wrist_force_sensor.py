@@ -13,10 +13,7 @@ QUIET = {"force_noise": 0.0, "torque_noise": 0.0}
 
 def readings(times, *, seed=3, **parameters):
     sensor = WristForceSensor(
-        wrist=JointIndex(1),
-        parameters=WristSensorParameters(**parameters),
-        period=0.005,
-        seed=seed,
+        wrist=JointIndex(1), parameters=WristSensorParameters(**parameters), period=0.005, seed=seed
     )
     context = sensor.CreateDefaultContext()
     sensor.get_input_port().FixValue(context, Value[list[SpatialForce]](FORCES))

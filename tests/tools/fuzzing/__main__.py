@@ -3,18 +3,12 @@
 import argparse
 import sys
 from functools import partial
-from pathlib import Path
 
 from fuzzing.commands import command_case
-from fuzzing.engine import Keep, run, summary
+from fuzzing.engine import run, summary
 from fuzzing.files import bases, file_case
 from fuzzing.kills import kill_case, recorded
-from fuzzing.scenarios import (
-    built_in_scenarios,
-    compile_for_runs,
-    run_case,
-    scenario_case,
-)
+from fuzzing.scenarios import built_in_scenarios, compile_for_runs, run_case, scenario_case
 
 CASES = {
     "files": (10_000, file_case),
@@ -32,8 +26,6 @@ def main() -> int:
         parser.add_argument(f"--{name}", type=int, default=count, help=f"{count} by default")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--first", type=int, default=0, help="number of the first case")
-    parser.add_argument("--show", type=int, default=20, help="number of findings to print")
-    parser.add_argument("--keep", type=Path, help="file to keep outcomes in and to go on from")
     options = parser.parse_args()
     bases()
     built_in_scenarios()
@@ -45,11 +37,10 @@ def main() -> int:
     for name, (_, case) in CASES.items():
         if count := getattr(options, name):
             numbers = range(options.first, options.first + count)
-            keep = Keep(options.keep, f"{name} {options.seed}")
-            outcomes = run(partial(case, seed=options.seed), numbers, keep=keep)
+            outcomes = run(partial(case, seed=options.seed), numbers)
             findings = [outcome for outcome in outcomes if outcome.finding]
             found += len(findings)
-            for each in findings[: options.show]:
+            for each in findings[:20]:
                 print(f"--- {name} {each.number}: {each.result}: {each.what}\n{each.detail}")
             print(summary(name, outcomes))
     return 1 if found else 0

@@ -15,35 +15,18 @@ _SHORT = ["--set", "duration=0.3", "--no-meshcat"]
 _COMMANDS = {
     "run": (["run", "chatelain2013_fig5", *_SHORT], ["--set", "--seed", "--record", "--serve"]),
     "scan": (["scan"], ["--phantom", "--time", "--set", "--seed"]),
-    "track": (
-        ["track", "FILE"],
-        [
-            "--tracker",
-            "--order",
-            "--start",
-            "--depth",
-            "--window",
-            "--dynamic-range-db",
-            "--volume-rate",
-            "--poses",
-            "--seed",
-            "--frames",
-            "--spacing",
-            "--reconstruct",
-        ],
-    ),
-    "locate": (
-        ["locate", "FILE"],
-        ["--number", "--order", "--depth", "--window", "--dynamic-range-db"],
-    ),
+    "track": (["track", "FILE"], [
+        "--tracker", "--order", "--start", "--depth", "--window", "--dynamic-range-db",
+        "--volume-rate", "--poses", "--seed", "--frames", "--spacing", "--reconstruct",
+    ]),
+    "locate": (["locate", "FILE"],
+               ["--number", "--order", "--depth", "--window", "--dynamic-range-db"]),
     "explain": (["explain", "FILE"], ["--time"]),
-    "dataset": (
-        ["dataset", "chatelain2013_fig5", "--jobs", "1"],
-        ["--count", "--volumes", "--probe", "--seed", "--jobs", "--set"],
-    ),
+    "dataset": (["dataset", "chatelain2013_fig5", "--jobs", "1"],
+                ["--count", "--volumes", "--probe", "--seed", "--jobs", "--set"]),
     "reproduce": (["reproduce"], ["--seeds", "--first-seed", "--jobs"]),
     "list": (["list"], []),
-}
+}  # fmt: skip
 _REFUSED = {"run": 0.4, "dataset": 1.0, "reproduce": 1.0}
 """Probability that a command that takes long gets an option that nobody has."""
 

@@ -11,9 +11,8 @@ import time
 import traceback
 from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from sonoservo.systems.files.refusals import MAX_MESSAGE, ConfigurationError
 
@@ -32,18 +31,11 @@ Case = Callable[[int, Path], "Outcome"]
 
 @dataclass
 class Outcome:
-    """Outcome of a case.
+    """Outcome of a case that a person can repeat by its description.
 
-    Parameters
-    ----------
-    what
-        Short description of the case, from which a person can repeat it.
-    result
-        "good" or "refused"; anything else is a finding: "bug", "wrong", "slow", "memory", "died".
-    detail
-        Message or traceback.
-    justified
-        Memory in bytes that the data justify.
+    A result that is neither "good" nor "refused" is a finding: "bug", "wrong", "slow", "memory",
+    "died". The detail is a message or traceback; memory, also that which the data justify, is in
+    bytes.
     """
 
     what: str
@@ -53,7 +45,6 @@ class Outcome:
     number: int = -1
     cpu_s: float = 0.0
     peak: float = 0.0
-    extra: dict[str, Any] = field(default_factory=dict)
 
     @property
     def finding(self) -> bool:
@@ -63,14 +54,7 @@ class Outcome:
 def judge(what: str, case: Callable[[], float], names: str = "") -> Outcome:
     """Run a case that returns the bytes its data justify, and judge how it ends.
 
-    Parameters
-    ----------
-    what
-        Description of the case.
-    case
-        Function to run; it raises AssertionError if a result is wrong.
-    names
-        Text that the message of a refusal must contain, such as the file's name.
+    It raises AssertionError if a result is wrong. The message of a refusal must contain ``names``.
     """
     try:
         return Outcome(what, "good", justified=case())
@@ -87,55 +71,12 @@ def judge(what: str, case: Callable[[], float], names: str = "") -> Outcome:
         return Outcome(what, "bug", traceback.format_exc())
 
 
-class Keep:
-    """File to which outcomes are appended as they come, so that an ended run can go on.
-
-    Parameters
-    ----------
-    path
-        Path of the file; None keeps nothing.
-    kind
-        Kind of the cases. Outcomes of several kinds can share a file.
-    """
-
-    def __init__(self, path: Path | None = None, kind: str = "") -> None:
-        self._path, self._kind = path, kind
-
-    def read(self) -> dict[int, Outcome]:
-        """Return the outcomes of earlier runs by their numbers; findings are to be run again."""
-        if self._path is None or not self._path.exists():
-            return {}
-        rows = [json.loads(line) for line in self._path.read_text().splitlines()]
-        outcomes = [Outcome(**row["outcome"]) for row in rows if row["kind"] == self._kind]
-        return {outcome.number: outcome for outcome in outcomes if not outcome.finding}
-
-    def append(self, outcome: Outcome) -> None:
-        """Append an outcome."""
-        if self._path is not None:
-            with self._path.open("a", encoding="utf-8") as file:
-                file.write(json.dumps({"kind": self._kind, "outcome": outcome.__dict__}) + "\n")
-
-
-def run(
-    case: Case, numbers: range, *, keep: Keep | None = None, report_s: float = 30.0
-) -> list[Outcome]:
+def run(case: Case, numbers: range) -> list[Outcome]:
     """Run cases, and return their outcomes; a case that kills its worker is a finding too."""
-    keep = keep or Keep()
-    known = keep.read()
-    outcomes = [known[number] for number in numbers if number in known]
-    reported = time.monotonic()
-    numbers_left = [number for number in numbers if number not in known]
-    while numbers_left:
-        batch = numbers_left[:_BATCH]
-        done = 0
-        for outcome in _run_batch(case, batch):
-            outcomes.append(outcome)
-            keep.append(outcome)
-            done += 1
-            if time.monotonic() > reported + report_s:
-                print(f"{len(outcomes)} of {len(numbers)}", file=sys.stderr, flush=True)
-                reported = time.monotonic()
-        numbers_left = numbers_left[done:]
+    outcomes: list[Outcome] = []
+    while len(outcomes) < len(numbers):
+        outcomes += _run_batch(case, list(numbers[len(outcomes) :][:_BATCH]))
+        print(f"{len(outcomes)} of {len(numbers)}", file=sys.stderr, flush=True)
     return outcomes
 
 

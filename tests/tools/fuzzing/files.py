@@ -2,10 +2,11 @@
 
 import io
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from random import Random
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import nibabel
 import nrrd
@@ -36,7 +37,9 @@ PER_VOXEL = 40.0
 """Bytes that a voxel justifies, in all."""
 
 Files = dict[str, bytes]
+MADE_BY = {"code": "of the test"}
 CASE = study.Case("a", 3, {"x": 1})
+GOOD = study.Outcome(CASE, {"error_mm": 1.25, "n": [1, 2]}, "", 1.5, made_by=MADE_BY)
 
 
 def _arrays(count: int) -> list[np.ndarray]:
@@ -50,7 +53,7 @@ def bases() -> dict[str, tuple[Files, str, Callable[[Path, Random], float]]]:
     made = {}
     for name, (write, opened, read) in _MAKERS.items():
         with TemporaryDirectory() as folder:
-            write(Path(folder))
+            write(Path(folder) / opened)
             content = {each.name: each.read_bytes() for each in sorted(Path(folder).iterdir())}
             made[name] = content, opened, read
             read(Path(folder) / opened, Random(0))  # it is valid, and its code is compiled
@@ -143,15 +146,13 @@ def read_run_log(path: Path, rng: Random) -> float:
 
 
 def read_outcome(path: Path, rng: Random) -> float:
-    good = study.Outcome(CASE, {"error_mm": 1.25, "n": [1, 2]}, "", 1.5, made_by=MADE_BY)
-    assert _kept(path.parent).read(CASE) in (None, good), "an altered outcome was believed"
+    assert _kept(path.parent).read(CASE) in (None, GOOD), "an altered outcome was believed"
     return 0.0
 
 
-def _write_recorded(folder: Path) -> None:
+def _write_recorded(path: Path) -> None:
     """Write a recording of this program, with its side files."""
     geometry = SweepGeometry(0.04, 0.0273, 0.01, 0.02, 5e-4, 10, 5, 80, 0.05)
-    path = folder / "a.seq.nrrd"
     with (
         RecordingWriter(path, {"tracker_seed": 3}) as writer,
         LinesWriter(path, TRUTH, {"needle_radius": 5e-4}) as truth,
@@ -180,20 +181,12 @@ def _write_phantom(path: Path) -> None:
     path.with_name("map.yaml").write_text(table)
 
 
-def _write_npz(folder: Path) -> None:
-    write_log(folder / "log.npz", build_insertion_log())
-
-
-MADE_BY = {"code": "of the test"}
-
-
 def _kept(folder: Path) -> runs._Kept:
     return runs._Kept(folder, Store(str(folder)), MADE_BY)
 
 
-def _write_outcome(folder: Path) -> None:
-    outcome = study.Outcome(CASE, {"error_mm": 1.25, "n": [1, 2]}, "", 1.5, made_by=MADE_BY)
-    assert _kept(folder).write(study.Finished(outcome)) == outcome
+def _write_outcome(path: Path) -> None:
+    assert _kept(path.parent).write(study.Finished(GOOD)) == GOOD
 
 
 def _write_single(path: Path) -> None:
@@ -203,38 +196,28 @@ def _write_single(path: Path) -> None:
     path.write_bytes(buffer.getvalue())
 
 
+def _write_sequence(path: Path, **options: Any) -> None:
+    write_sequence_nrrd(path, _arrays(3), **options)
+
+
+def _write_meta(path: Path, **options: Any) -> None:
+    write_meta_image(path, _arrays(3), tracked(3), **options)
+
+
 _MAKERS = {
-    "raw nrrd": (
-        lambda f: write_sequence_nrrd(f / "a.seq.nrrd", _arrays(3), encoding="raw", **tracked(3)),
-        "a.seq.nrrd",
-        read_recording,
-    ),
-    "list first": (
-        lambda f: write_sequence_nrrd(f / "a.seq.nrrd", _arrays(3), list_first=True),
-        "a.seq.nrrd",
-        read_recording,
-    ),
-    "doubles": (lambda f: _write_single(f / "a.nrrd"), "a.nrrd", read_recording),
-    "mha": (
-        lambda f: write_meta_image(f / "a.mha", _arrays(3), tracked(3)),
-        "a.mha",
-        read_recording,
-    ),
-    "packed mha": (
-        lambda f: write_meta_image(f / "a.mha", _arrays(3), tracked(3), compressed=True),
-        "a.mha",
-        read_recording,
-    ),
-    "mhd": (lambda f: write_meta_image(f / "a.mhd", _arrays(1)), "a.mhd", read_recording),
+    "raw nrrd": (partial(_write_sequence, encoding="raw", **tracked(3)), "a.seq.nrrd",
+                 read_recording),
+    "list first": (partial(_write_sequence, list_first=True), "a.seq.nrrd", read_recording),
+    "doubles": (_write_single, "a.nrrd", read_recording),
+    "mha": (_write_meta, "a.mha", read_recording),
+    "packed mha": (partial(_write_meta, compressed=True), "a.mha", read_recording),
+    "mhd": (lambda path: write_meta_image(path, _arrays(1)), "a.mhd", read_recording),
     "recorded": (_write_recorded, "a.seq.nrrd", read_recording),
-    "frames": (
-        lambda f: write_plus_file(f / "a.igs.mha", freehand(10, dtype=np.uint8)),
-        "a.igs.mha",
-        read_frames,
-    ),
-    "label map": (lambda f: _write_phantom(f / "map.nrrd"), "map.nrrd", read_phantom),
-    "nifti": (lambda f: _write_phantom(f / "map.nii"), "map.nii", read_phantom),
-    "packed nifti": (lambda f: _write_phantom(f / "map.nii.gz"), "map.nii.gz", read_phantom),
-    "log": (_write_npz, "log.npz", read_run_log),
+    "frames": (lambda path: write_plus_file(path, freehand(10, dtype=np.uint8)), "a.igs.mha",
+               read_frames),
+    "label map": (_write_phantom, "map.nrrd", read_phantom),
+    "nifti": (_write_phantom, "map.nii", read_phantom),
+    "packed nifti": (_write_phantom, "map.nii.gz", read_phantom),
+    "log": (lambda path: write_log(path, build_insertion_log()), "log.npz", read_run_log),
     "outcome": (_write_outcome, f"{CASE.name}.json", read_outcome),
-}
+}  # fmt: skip

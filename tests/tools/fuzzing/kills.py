@@ -92,13 +92,10 @@ class _Ended:
 def _end(command: list[str], moment: float, ending: signal.Signals) -> _Ended:
     """Start a command, and end it when it has used a CPU time in s, whatever the machine's load."""
     with tempfile.TemporaryFile() as output:
-        process = subprocess.Popen(
-            command,
-            stdout=output,
-            stderr=subprocess.STDOUT,
-            start_new_session=True,
-            preexec_fn=_heed_all,  # a background job, or nohup, makes it ignore some
-        )
+        process = subprocess.Popen(  # a background job, or nohup, makes it ignore some signals
+            command, stdout=output, stderr=subprocess.STDOUT, start_new_session=True,
+            preexec_fn=_heed_all,
+        )  # fmt: skip
         latest = time.monotonic() + _PATIENCE * moment
         while process.poll() is None and time.monotonic() < latest:
             if sum(_session(process.pid).values()) > moment:

@@ -2,6 +2,7 @@
 
 import gzip
 import re
+import struct
 import zlib
 from random import Random
 
@@ -26,16 +27,9 @@ def text(rng: Random) -> bytes:
 
 
 def mutate(content: bytes, header: int, rng: Random) -> tuple[bytes, str]:
-    """Return damaged content, and what was done to it.
+    """Return the damaged content of a valid file, and what was done to it.
 
-    Parameters
-    ----------
-    content
-        Content of a valid file.
-    header
-        Number of bytes at the start that describe the others; 0 if all do.
-    rng
-        Source of the damage.
+    ``header`` is the number of bytes at the start that describe the others; 0 if all do.
     """
     said = []
     for _ in range(rng.choice([1, 1, 1, 2, 3])):
@@ -107,8 +101,6 @@ def many_zeros(content: bytes, header: int, rng: Random) -> bytes:
 
 def absurd_values(content: bytes, header: int, rng: Random) -> bytes:
     """Doubles beyond single precision, NaN or infinity, over the data."""
-    import struct
-
     value = struct.pack("<d", rng.choice([1e300, -1e300, float("nan"), float("inf"), 1e-310]))
     data = bytearray(content[header:])
     for _ in range(rng.choice([1, 3])):
@@ -125,19 +117,6 @@ def _replaced(content: bytes, found: list[re.Match[bytes]], new: bytes, rng: Ran
 
 
 _KINDS = [
-    truncated,
-    flipped,
-    flipped_header,
-    number_replaced,
-    number_replaced,
-    number_replaced,
-    number_replaced,
-    word_replaced,
-    word_replaced,
-    inserted,
-    line_moved,
-    repeated,
-    packed,
-    many_zeros,
-    absurd_values,
-]
+    truncated, flipped, flipped_header, *4 * [number_replaced], *2 * [word_replaced], inserted,
+    line_moved, repeated, packed, many_zeros, absurd_values,
+]  # fmt: skip

@@ -18,7 +18,6 @@ from sonoservo.diagrams.experiments.registry import (
     make_experiment,
     present,
 )
-from sonoservo.diagrams.scenario import Scenario
 
 _YAML = [
     *NUMBERS, "true", "null", "~", "yes", "[]", "{}", "[1]", "[1, 2, 3]", "[.nan, .inf, 1]", "abc",
@@ -89,19 +88,17 @@ def draw(rng: Random, folder: Path, files: bool = True) -> tuple[str, list[str]]
     return name, changes
 
 
-def _load(name: str, changes: list[str]) -> Scenario:
-    return load_scenario(name, changes=changes)
-
-
 def scenario_case(number: int, folder: Path, seed: int = 0) -> Outcome:
     """Load a damaged scenario; every tenth is also built."""
     rng = Random(f"scenarios {seed} {number}")
     name, changes = draw(rng, folder)
 
     def case() -> float:
-        scenario = _load(name, changes)
+        scenario = load_scenario(name, changes=changes)
         assert scenario.seed >= 0
-        assert _load(_saved(scenario, folder), []) == scenario
+        path = folder / "saved.yaml"
+        path.write_text(scenario.to_yaml())
+        assert load_scenario(path) == scenario
         if number % 10 == 0:
             with refusing(scenario):
                 make_experiment(scenario).close()
@@ -118,7 +115,7 @@ def compile_for_runs() -> None:
 
 
 def _run_briefly() -> None:
-    make_experiment(_load("clinic", ["duration=0.4"])).run()
+    make_experiment(load_scenario("clinic", changes=["duration=0.4"])).run()
 
 
 def run_case(number: int, folder: Path, seed: int = 0) -> Outcome:
@@ -126,7 +123,7 @@ def run_case(number: int, folder: Path, seed: int = 0) -> Outcome:
     rng = Random(f"runs {seed} {number}")
 
     def case() -> float:
-        scenario = _load(name, [*changes, "duration=1.0"])
+        scenario = load_scenario(name, changes=[*changes, "duration=1.0"])
         with refusing(scenario):
             experiment = make_experiment(scenario)
         try:
@@ -145,9 +142,3 @@ def run_case(number: int, folder: Path, seed: int = 0) -> Outcome:
         outcome = judge(f"{name} {changes}", case)
         if outcome.result != "refused":
             return outcome
-
-
-def _saved(scenario: Scenario, folder: Path) -> str:
-    path = folder / "saved.yaml"
-    path.write_text(scenario.to_yaml())
-    return str(path)

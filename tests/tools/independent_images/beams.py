@@ -16,25 +16,12 @@ FWHM = float(np.sqrt(8 * np.log(2)))
 
 @dataclass(frozen=True)
 class Beams:
-    """Beams that fan out along the array and across the frames.
+    """Beams that fan out along the array and across the frames, in m and rad."""
 
-    Parameters
-    ----------
-    radii
-        Distances behind the face, in m, from which the lines of a frame and the frames seem to
-        come; a large one makes them parallel.
-    angles
-        Half of the fan's opening angles, in rad.
-    depth
-        Length of a line, in m.
-    pitch
-        Distances between samples, and at mid-depth between lines and between frames, in m.
-    """
-
-    radii: tuple[float, float]
-    angles: tuple[float, float]
+    radii: tuple[float, float]  # behind the face, whence lines and frames seem to come
+    angles: tuple[float, float]  # half of the fans' openings
     depth: float
-    pitch: tuple[float, float, float] = (0.3e-3, 0.6e-3, 0.85e-3)
+    pitch: tuple[float, float, float] = (0.3e-3, 0.6e-3, 0.85e-3)  # at mid-depth
 
     @cached_property
     def axes(self):
@@ -99,35 +86,24 @@ class Beams:
 
 @dataclass(frozen=True)
 class PointSpread:
-    """Widths of a point's echo, at half of its amplitude.
+    """Widths in m of a point's echo, at half of its amplitude.
 
     Along the line the pulse keeps its length. Across it the beam is narrowest at the focus and
-    widens as a Gaussian beam does, up to a limit.
-
-    Parameters
-    ----------
-    axial
-        Width along the line, in m.
-    focus, lateral, elevation
-        (depth of the focus, width there, distance from it at which the width is sqrt(2) times as
-        large, largest width) along the array and across the frames, in m.
-    side_lobe
-        Amplitude of the side lobes.
+    widens as a Gaussian beam does, up to a limit: depth of the focus, width there, distance from it
+    at which the width is sqrt(2) times as large, and largest width.
     """
 
     axial: float
     lateral: tuple[float, float, float, float]
     elevation: tuple[float, float, float, float]
-    side_lobe: float
+    side_lobe: float  # amplitude
 
     @staticmethod
     def draw(rng, depth):
         beam = []
         for narrow, widest in (((0.8e-3, 1.6e-3), 3e-3), ((1.2e-3, 2.8e-3), 4.5e-3)):
-            beam.append(
-                (depth * rng.uniform(0.3, 0.75), rng.uniform(*narrow), rng.uniform(10e-3, 30e-3),
-                 widest)
-            )  # fmt: skip
+            focus, width = depth * rng.uniform(0.3, 0.75), rng.uniform(*narrow)
+            beam.append((focus, width, rng.uniform(10e-3, 30e-3), widest))
         return PointSpread(rng.uniform(0.4e-3, 0.9e-3), *beam, 10 ** (rng.uniform(-40, -26) / 20))
 
     @staticmethod
@@ -138,11 +114,7 @@ class PointSpread:
 
 
 class Blur:
-    """Linear convolution of scatterers with the point spread at each depth.
-
-    Bamber and Dickinson 1980 and Meunier and Bertrand 1995 describe an echo as the convolution of
-    the tissue's scatterers with the scanner's point spread. Here both are complex envelopes.
-    """
+    """Linear convolution of scatterers with the point spread at each depth."""
 
     def __init__(self, beams, spread):
         r, phi, theta = beams.axes
@@ -206,34 +178,23 @@ def sample(array, index):
 
 @dataclass(frozen=True)
 class Display:
-    """Conversion of echoes to grey levels.
+    """Conversion of echoes to grey levels, in dB over the tissue's echo.
 
-    Parameters
-    ----------
-    dynamic_range
-        Range of echoes shown, in dB.
-    tissue
-        Grey level of tissue, as a share of the range.
-    noise
-        Electronic noise at the face and at full depth, relative to the tissue's echo, in dB.
-        Its growth comes from the gain that makes up for the attenuation.
-    drift
-        Change of the gain from the face to full depth, in dB.
+    The noise grows with depth by the gain that makes up for the attenuation.
     """
 
     dynamic_range: float
-    tissue: float
-    noise: tuple[float, float]
-    drift: float
+    tissue: float  # grey level of the tissue, as a share of the range
+    noise: tuple[float, float]  # at the face and at full depth
+    drift: float  # of the gain, from the face to full depth
 
     @staticmethod
     def draw(rng):
-        return Display(
-            rng.uniform(45, 75),
-            rng.uniform(0.3, 0.55),
-            (rng.uniform(-45, -30), rng.uniform(-25, -8)),
-            rng.uniform(-5, 5),
+        shown, noise = (
+            (rng.uniform(45, 75), rng.uniform(0.3, 0.55)),
+            rng.uniform([-45, -25], [-30, -8]),
         )
+        return Display(*shown, tuple(noise), rng.uniform(-5, 5))
 
     def noise_amplitude(self, samples):
         """(samples, 1, 1) standard deviation of the noise."""
@@ -257,14 +218,14 @@ class Raster:
         self.spacing = np.asarray(spacing, float)
         self.origin = -0.5 * self.spacing * (np.array(shape) - 1)
         self.origin[1] = 0.0
-        axes = [o + s * np.arange(n) for o, s, n in zip(self.origin, self.spacing, shape,
-                                                        strict=True)]  # fmt: skip
+        each = zip(self.origin, self.spacing, shape, strict=True)
+        axes = [o + s * np.arange(n) for o, s, n in each]
         p_P = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
         self.inside = beams.contains(p_P)
         self.index = beams.index(p_P[self.inside])
 
-    def convert(self, grey, dtype=np.uint8):
+    def convert(self, grey):
         """Scan-convert grey levels; elements outside the beams are zero."""
-        values = np.zeros(self.inside.shape, np.float32)
-        values[self.inside] = sample(grey, self.index)
-        return np.round(values).astype(np.uint8) if dtype == np.uint8 else values
+        values = np.zeros(self.inside.shape, np.uint8)
+        values[self.inside] = np.round(sample(grey, self.index)).astype(np.uint8)
+        return values

@@ -14,26 +14,13 @@ PERIOD = 1 / 3.3
 
 
 class Scene:
-    """A probe on tissue with structures.
+    """A probe on tissue with kinds of structures, laid out for a pose of the probe.
 
-    Parameters
-    ----------
-    rng
-        Generator of all random properties.
-    structures
-        Names of the kinds of structures (`KINDS`).
-    shape, spacing
-        Shape of the volumes, and distances between their elements in m (one number or three); None
-        draws the spacing.
-    moving
-        Whether the probe moves over the tissue. Its scatterers are then points that stay in place.
-    X_WP
-        Pose of the probe for which the scene is laid out.
+    A probe that moves over the tissue sees scatterers that are points and stay in place.
     """
 
     def __init__(self, rng, structures=(), shape=SHAPE, spacing=None, moving=False, X_WP=None):
-        spacing = rng.uniform(0.5e-3, 0.7e-3) if spacing is None else spacing
-        spacing = np.broadcast_to(np.asarray(spacing, float), (3,))
+        spacing = np.full(3, rng.uniform(0.5e-3, 0.7e-3) if spacing is None else spacing)
         self.extent = spacing * (np.array(shape) - 1)
         self.X_WT = X_WP or RigidTransform()
         self.beams = draw_beams(rng, self.extent)
@@ -71,7 +58,7 @@ class Scene:
         self._still = X_WP, medium, echo
         return medium, echo
 
-    def volume(self, X_WP=None, time=0.0, needle=None, inserted=0.0, dtype=np.uint8):
+    def volume(self, X_WP=None, time=0.0, needle=None, inserted=0.0):
         """Volume from a pose at a time in s, and the truth about the needle in it, or None."""
         X_WP = X_WP or self.X_WT
         medium, echo = self.still(X_WP)
@@ -82,15 +69,12 @@ class Scene:
             if drawn is not None:
                 of_needle, passing, found = drawn
                 echo = echo * passing + of_needle
-                truth = _truth(needle, X_WP, inserted, *found)
-        grey = self.raster.convert(self.display.grey(echo, self.rng), dtype)
+                truth = _truth(needle, X_WP, *found)
+        grey = self.raster.convert(self.display.grey(echo, self.rng))
+        decibels = self.display.dynamic_range / 255
+        raster = self.raster
         return Volume(
-            grey,
-            self.raster.origin,
-            self.raster.spacing,
-            X_WP,
-            time,
-            decibels_per_level=self.display.dynamic_range / 255,
+            grey, raster.origin, raster.spacing, X_WP, time, decibels_per_level=decibels
         ), truth
 
     def needle(self, level=None, dip=None, min_length=22e-3):
@@ -99,14 +83,14 @@ class Scene:
         while True:
             down = np.radians(rng.uniform(0, 60) if dip is None else dip)
             azimuth = rng.uniform(0, 2 * np.pi)
-            k = np.array([np.cos(down) * np.cos(azimuth), np.sin(down),
-                          np.cos(down) * np.sin(azimuth)])  # fmt: skip
+            flat = np.cos(down) * np.array([np.cos(azimuth), np.sin(azimuth)])
+            k = np.array([flat[0], np.sin(down), flat[1]])
             fans = [rng.uniform(-0.6, 0.6) * angle for angle in self.beams.angles]
             middle = self.beams.position(self.extent[1] * rng.uniform(0.2, 0.8), *fans)
             a = np.arange(-0.15, 0.15, 0.25e-3)
-            inside = self.beams.contains(middle + a[:, None] * k)
-            inside &= np.all(np.abs((middle + a[:, None] * k)[:, [0, 2]])
-                             <= 0.5 * self.extent[[0, 2]], axis=1)  # fmt: skip
+            points = middle + a[:, None] * k
+            inside = self.beams.contains(points)
+            inside &= np.all(np.abs(points[:, [0, 2]]) <= 0.5 * self.extent[[0, 2]], axis=1)
             zero = len(a) // 2
             outside = np.flatnonzero(~inside)
             first = outside[outside < zero].max() + 1
@@ -127,10 +111,10 @@ class Scene:
             return needle
 
 
-def _truth(needle, X_WP, inserted, s, p, contrast):
+def _truth(needle, X_WP, p, contrast):
     chosen = np.unique(np.append(np.arange(0, len(p), 5), len(p) - 1))
     p_W = X_WP.multiply(p.T).T
-    return Truth(p_W[0], p_W[-1], p_W[chosen], contrast[chosen], needle.radius, inserted)
+    return Truth(p_W[0], p_W[-1], p_W[chosen], contrast[chosen], needle.radius)
 
 
 class Points:
@@ -157,8 +141,8 @@ class Points:
         phase = 4 * np.pi / self.wavelength * beams.axes[0][1] * index[0]
         white = splat(beams.shape, index, amplitude * np.exp(1j * phase), linear=1)
         middle = [len(axis) // 2 for axis in beams.axes]
-        edges = [beams.grid[tuple(np.add(middle, step))] - beams.grid[tuple(middle)]
-                 for step in np.eye(3, dtype=int)]  # fmt: skip
+        steps = np.add(middle, np.eye(3, dtype=int))
+        edges = [beams.grid[tuple(step)] - beams.grid[tuple(middle)] for step in steps]
         per_cell = self.density * abs(np.linalg.det(np.array(edges, float)))
         # Spread over two samples, a point loses power unless its echo covers both.
         apart = beams.pitch[0] * FWHM / spread.axial
@@ -170,8 +154,7 @@ def draw_beams(rng, extent):
     """Beams of a probe with a flat or a convex face that fill a box of (3,) extents in m."""
     if rng.random() < 0.4:
         radius = 1e2
-        return Beams((radius, radius), (0.5 * extent[0] / radius, 0.5 * extent[2] / radius),
-                     extent[1])  # fmt: skip
+        return Beams((radius, radius), tuple(0.5 * extent[[0, 2]] / radius), extent[1])
     radii, angles = [], []
     for width in extent[[0, 2]]:
         radius = rng.uniform(12e-3, 60e-3)
@@ -186,66 +169,31 @@ def draw_kinds(rng):
     return tuple(rng.choice(list(KINDS), rng.integers(1, 5), replace=False).tolist())
 
 
-def volume_case(
-    rng, needle=True, structures=None, *, shape=SHAPE, spacing=None, level=None, dip=None,
-    X_WP=None, dtype=np.uint8,
-):  # fmt: skip
-    """Draw one volume, with or without a needle.
+def volume_case(rng, needle=True, structures=(), *, level=None, dip=None, **scene):
+    """Draw one volume with kinds of structures, and the `Truth` or None.
 
-    Parameters
-    ----------
-    rng
-        Generator of all that is random.
-    needle
-        Whether there is a needle.
-    structures
-        Names of the kinds of structures (`KINDS`); None draws none or some.
-    shape, spacing, X_WP
-        See `Scene`.
-    level, dip
-        Contrast in dB and angle below the horizontal in degrees of the needle; None draws them.
-
-    Returns
-    -------
-    The volume, and the `Truth` or None.
+    Its contrast in dB and its angle below the horizontal in degrees are drawn unless given.
     """
-    if structures is None:
-        structures = draw_kinds(rng) if rng.random() < 0.5 else ()
-    scene = Scene(rng, structures, shape, spacing, X_WP=X_WP)
+    scene = Scene(rng, structures, **scene)
     if not needle:
-        return scene.volume(dtype=dtype)
+        return scene.volume()
     drawn = scene.needle(level, dip)
-    return scene.volume(needle=drawn, inserted=drawn.length, dtype=dtype)
+    return scene.volume(needle=drawn, inserted=drawn.length)
 
 
 def sequence_case(
-    rng, needle=True, structures=None, *, shape=SHAPE, spacing=None, level=None, dip=None,
-    speed=None, withdraw=None, moving=None, max_volumes=60,
+    rng, needle, structures, *, shape=SHAPE, level=None, dip=None, speed=None, withdraw=None,
+    moving=None, max_volumes=60,
 ):  # fmt: skip
-    """Draw a sequence of volumes: an insertion at a speed, a stop, and perhaps a withdrawal.
+    """Yield volumes, with the `Truth` or None: an insertion, a stop, and perhaps a withdrawal.
 
-    Parameters
-    ----------
-    rng, needle, structures, shape, spacing, level, dip
-        See `volume_case`.
-    speed
-        Speed of the needle, in m/s; None draws one. A needle so slow that its insertion would take
-        too long is partly inserted from the start.
-    withdraw, moving
-        Whether the needle is withdrawn, and whether the probe moves; None draws it.
-    max_volumes
-        Largest number of volumes.
-
-    Yields
-    ------
-    Pairs of a volume and the `Truth`, or None while there is no needle in it.
+    What is None is drawn. A needle so slow that its insertion would take too long is partly
+    inserted from the start.
     """
-    if structures is None:
-        structures = draw_kinds(rng) if rng.random() < 0.5 else ()
     moving = rng.random() < 0.4 if moving is None else moving
     turn = RollPitchYaw(rng.uniform(-np.pi, np.pi, 3)).ToRotationMatrix()
     X_WP = RigidTransform(turn, rng.uniform(-0.3, 0.3, 3))
-    scene = Scene(rng, structures, shape, spacing, moving, X_WP)
+    scene = Scene(rng, structures, shape, None, moving, X_WP)
     motion = _motion(rng) if moving else (lambda time: RigidTransform())
     drawn, times, inserted = None, [0.0, 11.0], [0.0, 0.0]
     if needle:

@@ -8,11 +8,11 @@ from scipy.ndimage import gaussian_filter1d, minimum_filter
 from .beams import sample, splat
 from .structures import decibels
 
-DIAMETERS = {
-    14: 2.108e-3, 15: 1.829e-3, 16: 1.651e-3, 17: 1.473e-3, 18: 1.270e-3, 19: 1.067e-3,
-    20: 0.908e-3, 21: 0.819e-3, 22: 0.718e-3, 23: 0.642e-3, 24: 0.566e-3, 25: 0.515e-3,
-}  # fmt: skip
-"""Outer diameter of each gauge, in m (Birmingham wire gauge)."""
+DIAMETERS = (
+    2.108e-3, 1.829e-3, 1.651e-3, 1.473e-3, 1.270e-3, 1.067e-3, 0.908e-3, 0.819e-3, 0.718e-3,
+    0.642e-3, 0.566e-3, 0.515e-3,
+)  # fmt: skip
+"""Outer diameters of gauges 14 to 25, in m (Birmingham wire gauge)."""
 
 TIPS = ("bevel", "bright", "abrupt")
 
@@ -25,28 +25,13 @@ _TABLE = 0.25e-3
 
 @dataclass(frozen=True)
 class Truth:
-    """Needle in one volume.
+    """Needle in one volume; positions in W, in m."""
 
-    Parameters
-    ----------
-    entry, tip
-        (3,) positions in W at which the needle enters the field of view, and of its tip, in m.
-    curve
-        (m, 3) points in W of its axis from entry to tip, 0.5 mm apart.
-    contrast
-        (m,) levels of its echo above the tissue and noise around it, in dB.
-    radius
-        Radius of the shaft, in m. The echo comes from its wall rather than from its axis.
-    inserted
-        Distance by which the needle was pushed in, in m.
-    """
-
-    entry: np.ndarray
+    entry: np.ndarray  # where it enters the field of view
     tip: np.ndarray
-    curve: np.ndarray
-    contrast: np.ndarray
-    radius: float
-    inserted: float
+    curve: np.ndarray  # (m, 3) points of its axis from entry to tip, 0.5 mm apart
+    contrast: np.ndarray  # (m,) of its echo with the tissue and noise around it, in dB
+    radius: float  # the echo comes from the wall rather than from the axis
 
     @property
     def visible(self):
@@ -63,29 +48,18 @@ class Needle:
 
     The shaft reflects like a mirror, most where the sound meets it at a right angle, and
     scatters from its rough surface at any angle. Its front wall echoes most, then its rear wall,
-    and below them the sound that ran back and forth inside (comet tail).
-
-    Parameters
-    ----------
-    rng
-        Generator of its random properties.
-    entry, direction
-        (3,) point and unit vector of its path, in the frame of the structures.
-    length
-        Largest distance by which it is pushed in, in m.
-    level
-        Median contrast of the shaft with tissue, when it is pushed in as far as that, in dB.
+    and below them the sound that ran back and forth inside (comet tail). Its median contrast with
+    tissue is a level in dB when it is pushed in by its length, in m.
     """
 
     outside = 40e-3
 
-    def __init__(self, rng, entry, direction, length, level, bend=None):
+    def __init__(self, rng, entry, direction, length, level):
         self.entry, self.direction, self.length, self.level = entry, direction, length, level
         aside = np.cross(direction, rng.normal(size=3))
-        curvature = rng.uniform(0, 1.2) * (rng.random() < 0.6) if bend is None else bend
+        curvature = rng.uniform(0, 1.2) * (rng.random() < 0.6)
         self.curvature = curvature * aside / np.linalg.norm(aside)
-        self.gauge = int(rng.choice(list(DIAMETERS)))
-        self.radius = DIAMETERS[self.gauge] / 2
+        self.radius = float(rng.choice(DIAMETERS)) / 2
         self.tip = str(rng.choice(TIPS))
         self.bevel, self.tip_gain = rng.uniform(2, 5) * self.radius, rng.uniform(3, 9)
         self.mirror_angle, self.rough = rng.uniform(8, 20), decibels(rng.uniform(-20, -8))
@@ -108,14 +82,9 @@ class Needle:
         return self.entry + s * self.direction + 0.5 * s * np.abs(s) * self.curvature
 
     def amplitude(self, s, inserted, tilt):
-        """(m,) complex amplitudes of the shaft's echo.
+        """(m,) complex amplitudes of the shaft's echo at distances beyond the entry, in m.
 
-        Parameters
-        ----------
-        s, inserted
-            (m,) distances beyond the entry, and that of the tip, in m.
-        tilt
-            (m,) sines of the angles between the shaft and the plane across the beam.
+        ``tilt``: (m,) sines of the angles between the shaft and the plane across the beam.
         """
         before = inserted - s
         at = before / _TABLE
@@ -149,11 +118,8 @@ class Needle:
         return s[first:], p[first:], wall[first:], beam[first:], tilt[first:]
 
     def draw(self, scene, X_PT, inserted, medium):
-        """Echo of the needle, transmission to what lies beneath it, and the truth in P.
+        """Complex echo of the needle, share of the amplitude that passes it, and (p_P, contrast).
 
-        Returns
-        -------
-        Complex echo and share of the amplitude that passes, over the beams, and (p_P, contrast);
         None if the needle is not in view.
         """
         beams = scene.beams
@@ -171,8 +137,8 @@ class Needle:
         margin = int(np.ceil(2e-3 / beams.pitch[0]))
         first = max(0, int(index[0].min()) - margin)
         echo = scene.blur(scatterers, first, int(index[0].max()) + margin)
-        return echo, self._transmission(beams, p), (s, p, self._contrast(scene, echo, p, wall,
-                                                                         medium))  # fmt: skip
+        contrast = self._contrast(scene, echo, p, wall, medium)
+        return echo, self._transmission(beams, p), (p, contrast)
 
     def _transmission(self, beams, p):
         """Share of the amplitude that passes the needle."""
@@ -195,7 +161,7 @@ class Needle:
 
     def calibrate(self, scene, X_PT, medium):
         """Set the gain such that the shaft has its level over tissue without a shadow."""
-        _, _, (_, p, contrast) = self.draw(scene, X_PT, self.length, medium)
+        _, _, (p, contrast) = self.draw(scene, X_PT, self.length, medium)
         clear = sample(medium.passing, scene.beams.index(p)) > 0.9
         usual = np.median(contrast[clear] if clear.any() else contrast)
         self.gain *= float(decibels(self.level - usual))

@@ -4,8 +4,6 @@ All levels are relative to the tissue. Positions are in the world, unless a stru
 of the probe.
 """
 
-from dataclasses import dataclass, field
-
 import numpy as np
 
 
@@ -23,8 +21,8 @@ class Waves:
         self.phases = rng.uniform(0, 2 * np.pi, count).astype(np.float32)
 
     def __call__(self, p):
-        total = sum(np.sin(p @ v + phase) for v, phase in zip(self.vectors, self.phases,
-                                                              strict=True))  # fmt: skip
+        waves = zip(self.vectors, self.phases, strict=True)
+        total = sum(np.sin(p @ v + phase) for v, phase in waves)
         return total * np.sqrt(np.float32(2 / len(self.vectors)))
 
     def over(self, p, block=3):
@@ -32,41 +30,18 @@ class Waves:
         total = self(p[tuple(slice(min(n, block) // 2, None, block) for n in p.shape[:3])])
         for axis, n in enumerate(p.shape[:3]):
             total = np.repeat(total, block, axis)
-            if total.shape[axis] < n:
-                total = np.concatenate([total, total.take([-1] * (n - total.shape[axis]), axis)],
-                                       axis)  # fmt: skip
-            total = total.take(range(n), axis)
+            total = total.take(np.minimum(range(n), total.shape[axis] - 1), axis)
         return total
 
 
-@dataclass
 class Medium:
-    """Properties of the tissue at the samples of the beams.
+    """Amplitudes at the samples of the beams: of what scatters, what reflects and what passes."""
 
-    Parameters
-    ----------
-    p
-        (samples, lines, frames, 3) positions in the frame of the structures, in m.
-    pitch
-        Distance between samples along a line, in m.
-    scattering
-        Amplitude of the diffuse scatterers.
-    reflecting
-        Amplitude of the mirror-like reflectors.
-    passing
-        Share of the sound's amplitude that comes through from above.
-    """
-
-    p: np.ndarray
-    pitch: float
-    scattering: np.ndarray = field(init=False)
-    reflecting: np.ndarray = field(init=False)
-    passing: np.ndarray = field(init=False)
-
-    def __post_init__(self):
-        self.scattering = np.ones(self.p.shape[:3], np.float32)
-        self.reflecting = np.zeros(self.p.shape[:3], np.float32)
-        self.passing = np.ones(self.p.shape[:3], np.float32)
+    def __init__(self, p, pitch):
+        self.p, self.pitch = p, pitch
+        self.scattering = np.ones(p.shape[:3], np.float32)
+        self.reflecting = np.zeros(p.shape[:3], np.float32)
+        self.passing = np.ones(p.shape[:3], np.float32)
 
     def shell(self, distance):
         """Weight of the samples at a surface, from the (signed) distance to it."""
@@ -150,8 +125,7 @@ class Vessel:
     """Vessel: a tube without echoes, with walls that are brightest where the sound meets them."""
 
     def __init__(self, rng, extent):
-        self.middle = extent * np.array([rng.uniform(-0.3, 0.3), rng.uniform(0.25, 0.8),
-                                         rng.uniform(-0.3, 0.3)])  # fmt: skip
+        self.middle = extent * rng.uniform([-0.3, 0.25, -0.3], [0.3, 0.8, 0.3])
         k = rng.normal(size=3) * [1, 0.3, 1]
         self.k = (k / np.linalg.norm(k)).astype(np.float32)
         self.radius = rng.uniform(1.2e-3, 3.5e-3)
@@ -170,8 +144,7 @@ class Calcification:
     """Calcification: a bright clump with a shadow."""
 
     def __init__(self, rng, extent):
-        self.middle = extent * np.array([rng.uniform(-0.4, 0.4), rng.uniform(0.15, 0.9),
-                                         rng.uniform(-0.4, 0.4)])  # fmt: skip
+        self.middle = extent * rng.uniform([-0.4, 0.15, -0.4], [0.4, 0.9, 0.4])
         self.radii = rng.uniform(0.4e-3, 2e-3, 3)
         self.level, self.through = rng.uniform(10, 24), decibels(rng.uniform(-15, -3))
 
@@ -202,8 +175,7 @@ class RingDown:
     """Comet tail of a gas bubble or a clip: a bright streak along the lines beneath it."""
 
     def __init__(self, rng, extent):
-        self.middle = extent * np.array([rng.uniform(-0.35, 0.35), rng.uniform(0.1, 0.5),
-                                         rng.uniform(-0.35, 0.35)])  # fmt: skip
+        self.middle = extent * rng.uniform([-0.35, 0.1, -0.35], [0.35, 0.5, 0.35])
         self.step, self.length = rng.uniform(0.6e-3, 2e-3), rng.uniform(6e-3, 25e-3)
         self.level, self.size = rng.uniform(14, 24), rng.uniform(0.5e-3, 1.2e-3)
 

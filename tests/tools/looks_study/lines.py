@@ -14,27 +14,13 @@ from .painted import painted
 
 @dataclass
 class Lines:
-    """Lines of many volumes, a row each.
+    """Lines of many volumes, a row each."""
 
-    Parameters
-    ----------
-    names
-        Names of the looks.
-    looks
-        (n, f) looks.
-    right
-        (n,) flags of those that are needles.
-    volume
-        (n,) numbers of their volumes.
-    made
-        (v, 3) generator (0 own, 1 painted), seed and whether there is a needle, of each volume.
-    """
-
-    names: list[str]
-    looks: np.ndarray
-    right: np.ndarray
-    volume: np.ndarray
-    made: np.ndarray
+    names: list[str]  # of the looks
+    looks: np.ndarray  # (n, f)
+    right: np.ndarray  # (n,) flags of those that are needles
+    volume: np.ndarray  # (n,) numbers of their volumes
+    made: np.ndarray  # (v, 3) generator (0 own, 1 painted), seed and whether there is a needle
 
 
 def cases(generator, seed, needle):
@@ -52,7 +38,7 @@ def cases(generator, seed, needle):
 GENERATORS = ("own", "painted")
 
 
-def collect(seeds, say=lambda line: None):
+def collect(seeds):
     """Return the `Lines` of the volumes of these seeds, with and without a needle."""
     names, looks, right, number, made = [], [], [], [], []
     for seed in seeds:
@@ -73,7 +59,6 @@ def collect(seeds, say=lambda line: None):
                 right.append(along)
                 number.append(np.full(long.sum(), len(made)))
                 made.append((which, seed, needle))
-                say(f"{generator} {seed} {needle:d}: {along.sum()} of {len(along)} lines")
     return Lines(
         names, np.concatenate(looks), np.concatenate(right), np.concatenate(number), np.array(made)
     )

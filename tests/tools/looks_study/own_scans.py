@@ -77,13 +77,8 @@ def _drawn_scan(seed, needle, rng, folder):
         structures = drawn_structures(rng)
         if any(each["kind"] == "vessel" for each in structures):
             return None
-        tissue = {
-            "size": [0.24, 0.16, 0.08],
-            "scatterers_per_cell": 4,
-            "attenuation": 0.5,
-            "fat": {"thickness": fat},
-            "structures": structures,
-        }
+        tissue = {"size": [0.24, 0.16, 0.08], "scatterers_per_cell": 4, "attenuation": 0.5,
+                  "fat": {"thickness": fat}, "structures": structures}  # fmt: skip
         path = folder / "body.yaml"
         path.write_text(yaml.safe_dump({"tissue": tissue}))
         changes["phantom"] = str(path)

@@ -54,17 +54,6 @@ def envelope_log_likelihood(
     distribution of nearly the same shape (Best and Fisher 1979), and the particle weighted with
     the ratio of the densities. All tips share the random numbers, which are evenly spread, so that
     they disturb the ratios of likelihoods little. The likelihood is unbiased.
-
-    Parameters
-    ----------
-    model
-        Distribution of the echoes.
-    envelope
-        (n,) amplitudes.
-    rng
-        Generator that draws the phases.
-    particles
-        Number of particles.
     """
     tips, n = model.mean.shape
     white = np.zeros((tips, n, particles), complex)
@@ -105,8 +94,6 @@ def envelope_log_likelihood(
 class TipBound(NamedTuple):
     """Errors of the best estimators of a tip along its axis, over many volumes."""
 
-    errors: Floats
-    """(volumes,) errors of the posterior mean given the amplitudes, in m."""
     variances: Floats
     """(volumes,) variances of the tip given the amplitudes, in m^2."""
     field_variances: Floats
@@ -124,17 +111,9 @@ class TipBound(NamedTuple):
 
 
 def tip_error_bound(
-    end: NeedleEnd,
-    geometry: SweepGeometry,
-    spread: PointSpread,
-    *,
-    depth: float,
-    dip_deg: float,
-    noise_db: float = -30.0,
-    volumes: int = 100,
-    particles: int = 50,
-    seed: int = 0,
-) -> TipBound:
+    end: NeedleEnd, geometry: SweepGeometry, spread: PointSpread, *, depth: float, dip_deg: float,
+    noise_db: float, volumes: int, particles: int,
+) -> TipBound:  # fmt: skip
     """Return the least error with which a needle's tip can be found along its axis in one volume.
 
     It is the mean variance of the tip given the volume, the minimum mean square error (Van Trees
@@ -145,23 +124,8 @@ def tip_error_bound(
 
     The Cramer-Rao bound is far below it, except for a mirror-like end: the needle's own speckle
     makes the likelihood of a rough end ragged, however bright it is.
-
-    Parameters
-    ----------
-    end
-        Levels of the needle's echo.
-    geometry, spread
-        Geometry of the sweep and widths of its point spread function.
-    depth, dip_deg
-        Depth of the tip in the middle of the sector in m, and angle between the needle and the
-        probe's face in deg.
-    noise_db
-        Level of the electronic noise at that depth over the tissue's.
-    volumes, particles, seed
-        Number of volumes, of particles that integrate out the phases, and the seed of both. The
-        particles suffice if the mean squared error is that of the variances.
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     dip = np.deg2rad(dip_deg)
     direction = np.array([np.cos(dip), np.sin(dip), 0.0])
     middle = np.array([0.0, depth, 0.0])
@@ -175,40 +139,23 @@ def tip_error_bound(
         model = echo_model(end, samples, np.array([true]), noise_db)
         noise = rng.normal(scale=np.sqrt(0.5), size=(2, len(samples.along)))
         echoes = model.mean[0] + model.root[0] @ (noise[0] + 1j * noise[1])
-        mean, variance = tip_posterior(end, samples, np.abs(echoes), noise_db, rng, particles)
+        _, variance = tip_posterior(end, samples, np.abs(echoes), noise_db, rng, particles)
         _, field = _posterior(
             partial(echo_model, end, samples, noise_db=noise_db),
             partial(field_log_likelihood, echoes=echoes),
         )
-        found.append((mean - samples.blur * true, variance, samples.blur**2 * field))
+        found.append((variance, samples.blur**2 * field))
     return TipBound(*np.transpose(found))
 
 
 def tip_posterior(
-    end: NeedleEnd,
-    samples: EndSamples,
-    envelope: Floats,
-    noise_db: float,
-    rng: np.random.Generator,
-    particles: int = 50,
-) -> tuple[float, float]:
+    end: NeedleEnd, samples: EndSamples, envelope: Floats, noise_db: float,
+    rng: np.random.Generator, particles: int = 50,
+) -> tuple[float, float]:  # fmt: skip
     """Return mean and variance of the tip given a volume: the estimator that attains the bound.
 
-    Parameters
-    ----------
-    end
-        Levels of the needle's echo.
-    samples, envelope
-        Samples near a point of the axis, and their (n,) amplitudes over the tissue's root mean
-        square.
-    noise_db
-        Level of the electronic noise over the tissue's.
-    rng, particles
-        See `envelope_log_likelihood`.
-
-    Returns
-    -------
-    Mean distance along the axis from that point to the tip in m, and its variance in m^2.
+    The tip is an abscissa in m from the point of the axis around which the samples lie; the (n,)
+    amplitudes of their envelope are relative to the tissue's root mean square.
     """
     mean, variance = _posterior(
         partial(echo_model, end, samples, noise_db=noise_db),

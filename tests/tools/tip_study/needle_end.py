@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonoservo.systems.signals.point_spread import PointSpread
-from sonoservo.systems.signals.requirements import require
 from sonoservo.systems.signals.sweep import SweepGeometry, blur_covariance
 
 Floats = NDArray[np.float64]
@@ -25,35 +24,18 @@ _NEEDLE_STEP = 0.125
 
 @dataclass(frozen=True, kw_only=True)
 class NeedleEnd:
-    """Echo of a needle near its tip; levels are mean intensities on the axis over the tissue's.
-
-    Parameters
-    ----------
-    shaft_db
-        Level of the shaft's rough surface, whose points have random phases.
-    bevel_length
-        Length over which the shaft's echo fades towards the tip, in m; 0 for a blunt tip.
-    bevel_db
-        Level that the bevel's face would have if it were long; None if it does not echo.
-    point_db
-        Level of an echo of the tip itself, as of a point; None for none.
-    mirror_db
-        Level of the shaft's mirror-like part, whose points are in phase, if it lay across the
-        beam; None for none.
-    reverberation_db, reverberation_distance
-        Level of each echo inside the needle relative to the one before it, and the distance between
-        them in m; None for a solid needle.
-    wavelength
-        Wavelength in m, which turns paths into phases.
-    """
+    """Echo of a needle near its tip; levels are mean intensities on the axis over the tissue's."""
 
     shaft_db: float = 20.0
+    """Level of the shaft's rough surface, whose points have random phases."""
     bevel_length: float = 0.0
-    bevel_db: float | None = None
-    point_db: float | None = None
+    """Length over which the shaft's echo fades towards the tip, in m; 0 for a blunt tip."""
     mirror_db: float | None = None
+    """Level of the mirror-like part, whose points are in phase, if it lay across the beam."""
     reverberation_db: float | None = None
+    """Level of each echo inside the needle relative to the one before it; None for a solid one."""
     reverberation_distance: float = 0.9e-3
+    """Distance between those echoes in m."""
     wavelength: float = 0.467e-3
 
     def echoes(self) -> list[tuple[complex, float]]:
@@ -98,18 +80,6 @@ def samples_near(
     The point spread function is taken as that at the tip. In coordinates q = Sigma^(-1/2) p, with
     its covariance Sigma, it is exp(-|q|^2 / 2), and the needle is a line again, whose unit of
     length is the blur on the axis, 1 / sqrt(k^T Sigma^-1 k).
-
-    Parameters
-    ----------
-    geometry, spread
-        Geometry of the sweep and widths of its point spread function.
-    p_PTip, direction
-        (3,) tip in P, in m, and (3,) unit vector k along the needle towards the tip.
-
-    Raises
-    ------
-    ValueError
-        If no sample is near the tip.
     """
     root = np.linalg.cholesky(np.linalg.inv(blur_covariance(spread, geometry, p_PTip[None])[0])).T
     k = root @ direction
@@ -119,14 +89,11 @@ def samples_near(
     index = np.array(geometry.index(ends, 1))
     widest = 4 * _ASIDE * np.sqrt(np.trace(np.linalg.inv(root.T @ root)))
     radius = max(geometry.array_radius + p_PTip[1], 1e-3)
-    pitches = (geometry.frame_pitch * (geometry.motor_radius + p_PTip[1]),
-               geometry.line_pitch * radius, geometry.sample_pitch)  # fmt: skip
-    grid = [
-        np.arange(max(int(low - widest / pitch), 0), min(int(high + widest / pitch) + 1, count))
-        for low, high, pitch, count in zip(
-            index.min(axis=1), index.max(axis=1), pitches, geometry.shape, strict=True
-        )
-    ]
+    frame_pitch = geometry.frame_pitch * (geometry.motor_radius + p_PTip[1])
+    wide = widest / np.array([frame_pitch, geometry.line_pitch * radius, geometry.sample_pitch])
+    first = np.maximum(index.min(axis=1) - wide, 0).astype(int)
+    last = np.minimum(index.max(axis=1) + wide + 1, geometry.shape).astype(int)
+    grid = [np.arange(*each) for each in zip(first, last, strict=True)]
     frame, middle, depth = (float(each) for each in geometry.index(p_PTip, 1))
     beam = geometry.position(frame, middle, depth + 1, 1) - p_PTip
     beam /= np.linalg.norm(beam)
@@ -136,7 +103,6 @@ def samples_near(
     along, *aside = axes @ root @ (positions - p_PTip).T
     across = np.transpose(aside)
     near = (np.abs(along) < far) & (np.linalg.norm(across, axis=1) < _ASIDE)
-    require(bool(near.any()), "p_PTip", p_PTip, "in the swept sector")
     order = np.argsort(along[near])
     slope, behind = float(beam @ direction), axes @ root @ beam
     positions = positions[near][order]
@@ -157,18 +123,8 @@ def echo_model(end: NeedleEnd, samples: EndSamples, tips: Floats, noise_db: floa
 
     Tissue, the needle's rough surface and noise are circular complex Gaussian fields. The tissue's
     covariance is exp(-|q - q'|^2 / 4). The needle's follows from the variance of its points, which
-    ends at the tip, through the point spread function.
-
-    Parameters
-    ----------
-    end
-        Levels of the needle.
-    samples
-        Samples near its end.
-    tips
-        (t,) abscissae of the tip, in units of the blur.
-    noise_db
-        Level of the noise over the tissue's.
+    ends at the tip, through the point spread function. Tips are in units of the blur, the noise is
+    relative to the tissue.
     """
     blur, x, across = samples[:3]
     s = np.arange(x.min() - 5, x.max() + 5, _NEEDLE_STEP)
@@ -177,13 +133,10 @@ def echo_model(end: NeedleEnd, samples: EndSamples, tips: Floats, noise_db: floa
     length = end.bevel_length / blur
     present = np.clip(from_tip / _NEEDLE_STEP + 0.5, 0, 1) * _NEEDLE_STEP
     wall = np.clip(from_tip / length, 0, 1) if length else np.ones_like(from_tip)
-    rough = _amplitude(end.shaft_db) * wall + _amplitude(end.bevel_db) * (from_tip < length)
-    variance = rough**2 * present / np.sqrt(np.pi)
+    variance = (_amplitude(end.shaft_db) * wall) ** 2 * present / np.sqrt(np.pi)
     apart = np.sum((across[:, np.newaxis] - across) ** 2, axis=-1) + (x[:, np.newaxis] - x) ** 2
     covariance = (variance[:, np.newaxis] * seen) @ seen.conj().T + np.exp(-apart / 4)
     covariance += 10 ** (noise_db / 10) * np.eye(len(x))
-    point = _amplitude(end.point_db) * _response(end, samples, tips).T
-    covariance += point[:, :, np.newaxis] * point[:, np.newaxis].conj()
     mirror = _amplitude(end.mirror_db) * wall * present / np.sqrt(2 * np.pi)
     mean = (mirror * end.mirror_phase(samples.slope * blur * s)) @ seen.T
     return EchoModel(mean, np.linalg.cholesky(covariance))

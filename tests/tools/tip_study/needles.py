@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 from pydrake.math import RigidTransform
@@ -11,6 +12,7 @@ from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.sweep import Sweep, SweepMotion, blur_covariance
 from sonoservo.systems.ultrasound.beam import beam_profile, point_spread
 from sonoservo.systems.ultrasound.imaging import ImagingParameters, sweep_geometry
+from sonoservo.systems.ultrasound.scan_conversion import ScanConversion, make_grid
 from sonoservo.systems.ultrasound.simulation.needles.needle_echo import (
     NeedleEchoParameters,
     reverberations,
@@ -21,12 +23,8 @@ from sonoservo.systems.ultrasound.simulation.tissue import Tissue
 from sonoservo.systems.ultrasound.transducer import load_transducer
 from tip_study.needle_end import NeedleEnd
 
-DIPS, DEPTHS, TIPS, CONTRASTS = (
-    (0, 15, 30, 45, 60),
-    (0.03, 0.05, 0.08),
-    ("blunt", "bevel"),
-    (12, 20, 30),
-)
+DIPS, DEPTHS = (0, 15, 30, 45, 60), (0.03, 0.05, 0.08)
+TIPS, CONTRASTS = ("blunt", "bevel"), (12, 20, 30)
 RADIUS = 0.635e-3
 MIRROR_DB = 20.0
 """Level of the mirror-like part over the rough surface's."""
@@ -34,29 +32,20 @@ DOWN = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, -0.1], [0, 0, 0, 1.0]])
 """Pose of the probe in the tissue; it looks down."""
 
 
-@dataclass(frozen=True)
-class Scanner:
+@cache
+def scanner():
     """Probe with the settings of fig. 5 and few frames, and its beam."""
-
-    probe: str = "4dc7_3_40"
-    frames: int = 11
-
-    def __post_init__(self):
-        transducer, imaging = load_transducer(self.probe), ImagingParameters(frames=self.frames)
-        geometry = sweep_geometry(transducer, imaging)
-        beam = beam_profile(transducer, imaging, geometry)
-        depths = geometry.sample_pitch * np.arange(geometry.samples)
-        reference = int(np.abs(depths - transducer.lens_focus).argmin())
-        bright = 20 * np.log10(projection_rays(geometry, beam, 1, 0, reference).bright)
-        for name, value in {
-            "transducer": transducer, "imaging": imaging, "geometry": geometry, "beam": beam,
-            "spread": point_spread(beam, geometry), "depths": depths, "bright": bright,
-            "width": beam.lateral[reference],
-        }.items():  # fmt: skip
-            object.__setattr__(self, name, value)
-
-
-scanner = cache(Scanner)
+    transducer, imaging = load_transducer("4dc7_3_40"), ImagingParameters(frames=11)
+    geometry = sweep_geometry(transducer, imaging)
+    beam = beam_profile(transducer, imaging, geometry)
+    depths = geometry.sample_pitch * np.arange(geometry.samples)
+    reference = int(np.abs(depths - transducer.lens_focus).argmin())
+    bright = 20 * np.log10(projection_rays(geometry, beam, 1, 0, reference).bright)
+    return SimpleNamespace(
+        transducer=transducer, imaging=imaging, geometry=geometry, beam=beam, depths=depths,
+        spread=point_spread(beam, geometry), bright=bright, width=beam.lateral[reference],
+        conversion=ScanConversion(geometry, make_grid(geometry, [0.7e-3] * 3)),
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)

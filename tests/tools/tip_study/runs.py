@@ -1,42 +1,25 @@
 """Errors of our localizer along the needle, and the least possible ones."""
 
 import itertools
-from functools import cache
 
 import numpy as np
 
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_prediction import NeedlePrediction
 from sonoservo.systems.tracking import NeedleLocalizerParameters, localize
-from sonoservo.systems.ultrasound.scan_conversion import ScanConversion, make_grid
 from tip_study.bound import tip_error_bound, tip_posterior
 from tip_study.needle_end import samples_near
 
-from .needles import (
-    CONTRASTS,
-    DEPTHS,
-    DIPS,
-    RADIUS,
-    TIPS,
-    End,
-    end_of,
-    scanner,
-    sweep_with,
-)
+from .needles import CONTRASTS, DEPTHS, DIPS, RADIUS, TIPS, End, end_of, scanner, sweep_with
 from .tables import line_of
 
 NOISE_DB = -55.0
 
 
-@cache
-def conversion(using):
-    return ScanConversion(using.geometry, make_grid(using.geometry, [0.7e-3] * 3))
-
-
 def error_along(end, using, seed):
     """Error of the localizer's tip along the needle in m, of one volume; NaN if there is none."""
     sweep, ends, rng = sweep_with(end, using, seed)
-    volume = conversion(using)(sweep)
+    volume = using.conversion(sweep)
     # A prediction that is 2 mm off in every direction; the localizer sees nothing else.
     expected = ends + rng.normal(0, 2e-3, (2, 3))
     prediction = NeedlePrediction(
@@ -77,15 +60,14 @@ def best_error_along(end, using, seed):
     return tip_posterior(*args)[0] + off
 
 
-def study(volumes, first_seed, say=None, *, probe="4dc7_3_40", bound_volumes=20,
-          dips=DIPS, depths=DEPTHS, tips=TIPS, contrasts=CONTRASTS):  # fmt: skip
-    """Return {end: (errors of our tips in m, bound)}."""
-    using, rows = scanner(probe), {}
+def study(volumes, first_seed, say, *, bound_volumes=20, dips=DIPS, depths=DEPTHS, tips=TIPS,
+          contrasts=CONTRASTS):  # fmt: skip
+    """Say a line for each kind of end, and return {end: (errors of our tips in m, bound)}."""
+    using, rows = scanner(), {}
     for each in itertools.product(dips, depths, tips, contrasts):
         end = End(*each)
         errors = np.array([error_along(end, using, first_seed + i) for i in range(volumes)])
         bound = bound_of(end, using, bound_volumes)
         rows[end] = errors, bound
-        if say:
-            say(line_of(end, errors, bound))
+        say(line_of(end, errors, bound))
     return rows

@@ -1,6 +1,6 @@
 """Table and figure of the study."""
 
-from typing import NamedTuple
+from collections import namedtuple
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -13,18 +13,8 @@ HEAD = (
 )
 
 
-class Figures(NamedTuple):
-    """Figures of all volumes with needles of a kind; lengths are in mm."""
-
-    found: float
-    bias: float
-    deviation: float
-    half_width: float
-    least: float
-    with_phases: float
-    ratio: float
-    low: float
-    high: float
+Figures = namedtuple("Figures", "found bias deviation half_width least with_phases ratio low high")
+"""Figures of all volumes with needles of a kind; lengths are in mm."""
 
 
 def figures(errors, bound):

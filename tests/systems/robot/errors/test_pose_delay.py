@@ -53,7 +53,7 @@ def ages(times, *, seed=0, **parameters):
     return np.array(found)
 
 
-@pytest.mark.parametrize("steps", [0, 1, 13])
+@pytest.mark.parametrize("steps", [0, 13])
 def test_pose_is_exactly_that_of_a_time_ago(steps):
     between, at = STEP * (np.arange(20, 60) + 0.4), STEP * np.arange(20, 60)
     for times in (between, at):
