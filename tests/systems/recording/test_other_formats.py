@@ -284,6 +284,20 @@ def test_nifti_gives_the_volumes_that_nrrd_gives(tmp_path, name):
         np.testing.assert_allclose(read[number].spacing, wanted[number].spacing, rtol=1e-6)
         np.testing.assert_allclose(read[number].origin, wanted[number].origin, atol=1e-8)
         assert read.X_WL(number).IsNearlyEqualTo(wanted.X_WL(number), 1e-6)
+    image.set_qform(np.diag([0.7, 0.8, 0.9, 1.0]), code=1)
+    nibabel.save(image, tmp_path / "b.nii")
+    assert (
+        "its sform and its qform differ; the sform is taken" in Recording(tmp_path / "b.nii").notes
+    )
+    image = nibabel.Nifti1Image(numbers[..., 0], None)
+    image.header.set_zooms((0.7, 0.8, 0.9))
+    nibabel.save(image, tmp_path / "b.nii")
+    header = {"spacings": [0.7, 0.8, 0.9]}
+    nrrd.write(str(tmp_path / "b.nrrd"), numbers[..., 0], header)
+    read, wanted = Recording(tmp_path / "b.nii"), Recording(tmp_path / "b.nrrd")
+    assert read.X_WL(0).IsExactlyEqualTo(wanted.X_WL(0))
+    np.testing.assert_allclose(read[0].origin, wanted[0].origin, atol=1e-8)
+    assert "its axes to be LPS" in " ".join(read.notes)
     for dtype, message in (
         (np.complex64, "complex"),
         ([(each, "u1") for each in "RGB"], "colours"),

@@ -150,12 +150,19 @@ def test_an_interruption_keeps_what_was_tracked(recording, tmp_path):
     assert (tmp_path / "summary.json").is_file()
 
 
-def test_quiet_stream_ends_by_patience():
+def test_quiet_stream_ends_by_patience(tmp_path, capsys):
     said = []
     with Link(parse_address("igtl://:0"), report=quiet) as server:
         address = parse_address(f"igtl://localhost:{server.port}")
         with LiveSource(address, report=quiet) as source:
             assert list(live_volumes(source, LiveLimits(patience=0.3), said.append)) == []
+        copy = tmp_path / "copy.seq.nrrd"
+        for command in (
+            ["bridge", str(address), str(copy)],
+            ["track", str(address), "--out", str(tmp_path)],
+        ):
+            assert run_arguments([*command, "--patience", "0.3"]) == 1
+        assert str(copy) not in capsys.readouterr().out
     assert "for 0.3 s: ending" in said[-1]
     for limits in ({"patience": float("nan")}, {"patience": -1.0}, {"volumes": 0}):
         with pytest.raises(ValueError, match="is not allowed; it must be a number above 0"):
