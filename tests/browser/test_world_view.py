@@ -11,12 +11,11 @@ from sonoservo.systems.display import Console, Site, open_meshcat
 from sonoservo.systems.display.pages.site import Files
 from sonoservo.systems.evaluation.reports.report import save_replay
 
-DURATION = 4.0
+DURATION = 5.5
 CHANGES = [
     f"duration={DURATION}",
-    "hand.start=0.0",
-    "hand.pushes=[{duration: 1.8, speed: 0.03}, {duration: 3, speed: 0.008}]",
-    "scan_conversion.spacing=[1e-3, 1e-3, 1e-3]",
+    "hand.start=0.3",
+    "hand.pushes=[{duration: 5, speed: 0.016}]",
     "station.plant.contact_model=point",
     "station.probe.height=0.004",
 ]

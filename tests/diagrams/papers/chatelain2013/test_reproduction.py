@@ -77,8 +77,8 @@ def test_the_whole_study_in_short(tmp_path, monkeypatch):
         chatelain2013,
         "PROTOCOLS",
         {
-            "fig4": protocol("chatelain2013_fig4", 1.5, compared=True),
-            "fig5": protocol(five, 5.8),
+            "fig4": protocol("chatelain2013_fig4", 1.5),
+            "fig5": protocol(five, 5.8, compared=True),
             "fig6": protocol("chatelain2013_fig6", 3.2, moved),
             "settings, fast": protocol("chatelain2013_fig4", 1.5, "imaging.frames=5"),
             still: protocol("chatelain2013_fig4", 1.5, *PROTOCOLS[still].changes),
