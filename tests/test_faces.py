@@ -20,13 +20,6 @@ FACES = [
 """Rooms that hand out names; the others are parts of a room, or what no program needs."""
 
 
-def modules(package):
-    """Names of the modules and rooms in a package."""
-    folder = ROOT / package.replace(".", "/")
-    paths = [*folder.glob("*.py"), *(path.parent for path in folder.glob("*/__init__.py"))]
-    return {path.stem for path in paths} - {"__init__"}
-
-
 @pytest.mark.parametrize("package", FACES)
 def test_every_name_of_a_face_is_there_public_and_documented(package):
     face = import_module(f"sonoservo.{package}")

@@ -32,10 +32,3 @@ def test_an_end_at_any_moment_leaves_readable_files_and_no_process():
     counts = ["--files=0", "--scenarios=0", "--commands=0", "--runs=0", "--kills=24"]
     result = fuzz(*counts)
     assert result.returncode == 0, result.stdout + result.stderr
-
-
-@pytest.mark.slow
-def test_the_engine_notices_what_is_wrong():
-    result = python("-m", "fuzzing.misbehaviour")
-    wanted = ["refused", "bug", "message", "memory", "memory", "died", "wrong", "good"]
-    assert result.stdout.split() == [part for pair in enumerate(wanted) for part in map(str, pair)]

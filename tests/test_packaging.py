@@ -1,6 +1,5 @@
 """The wheel, made of the sdist and installed in an environment where nothing else is ours."""
 
-import json
 import os
 import shutil
 import subprocess
@@ -69,17 +68,6 @@ def installed(wheel, tmp_path_factory):
     return folder
 
 
-def run_scenario(installed, folder, *options):
-    """Summary of a run by the installed command, from a folder elsewhere."""
-    command = str(installed / "bin" / "sonoservo")
-    out = folder / "results"
-    call(command, "run", "chatelain2013_fig5", "--no-meshcat", "--out", out, *options, cwd=folder)
-    names = {"scenario.yaml", "summary.json", "log.npz", "slices.npz", "run.png", "errors.png"}
-    names |= {"report.html"}
-    assert {path.name for path in out.iterdir()} == names
-    return json.loads((out / "summary.json").read_text())
-
-
 def test_the_wheel_holds_every_file_of_the_packages(wheel):
     with zipfile.ZipFile(wheel) as archive:
         names = {name for name in archive.namelist() if ".dist-info/" not in name}
@@ -96,9 +84,3 @@ def test_the_installed_package_is_typed_and_its_own(installed):
         f" for name in {FOLDERS})"
     )
     call(str(installed / "bin" / "python"), "-c", code, cwd=installed)
-
-
-@pytest.mark.slow
-def test_the_installed_package_compiles_and_follows_the_needle(installed, tmp_path):
-    summary = run_scenario(installed, tmp_path)
-    assert summary["tracking"]["tracked"] > 0.9 * summary["tracking"]["volumes"] > 0

@@ -70,8 +70,8 @@ class FollowNeedle(DrakeGymEnv):
 
     The reward is the mean of the terms in ``info["reward_terms"]`` (`reward_terms`), in truth. An
     episode ends when the needle has left the field of view for 3 s (``info["end"] == "lost"``),
-    the force is above 10 N ("force"), the guard stops the robot for good ("stopped"), or the needle
-    rests, centred and aligned to 1 mm and 1 deg for a second ("reached").
+    the force is above 10 N ("force"), the guard has held the robot for 5 s ("stopped"), or the
+    needle rests, centred and aligned to 1 mm and 1 deg for a second ("reached").
 
     Parameters
     ----------

@@ -34,7 +34,7 @@ def open_nifti(path: Path, *, frames: bool = False) -> VolumeFile:
         if unit not in MILLIMETRES:
             raise ConfigurationError(f"{path}: xyzt_units: {length!r} is not allowed")
         ras = np.array([-1.0, -1.0, 1.0]) * MILLIMETRES[unit]
-        affine = np.array(image.affine, float)
+        affine, unplaced = _affine(header)
         directions, origin = ras[:, np.newaxis] * affine[:3, :3], ras * affine[:3, 3]
         shape, count = sizes[:3], sizes[3] if len(sizes) == 4 else 1
         check_layout(path, shape, count, directions, frames=frames)
@@ -59,8 +59,22 @@ def open_nifti(path: Path, *, frames: bool = False) -> VolumeFile:
             voxels = np.asarray(voxels)
         return np.stack([voxels[each] for each in colours], axis=-1) if colours else voxels
 
-    notes = ("it states no unit of length; mm are taken",) if length == "unknown" else ()
+    unmeasured = ["it states no unit of length; mm are taken"] if length == "unknown" else []
     return VolumeFile(
-        path, shape, count, directions, origin, read, times, notes=notes,
+        path, shape, count, directions, origin, read, times, notes=(*unmeasured, *unplaced),
         channels=max(len(colours), 1),
     )  # fmt: skip
+
+
+def _affine(header: Any) -> tuple[NDArray[np.float64], list[str]]:
+    """Return the matrix from voxels to RAS, and what is said of one that had to be chosen."""
+    sform, qform = header.get_sform(coded=True)[0], header.get_qform(coded=True)[0]
+    if sform is None and qform is None:  # as ITK takes it; nibabel would turn and centre it
+        said = "its first voxel is taken to lie at 0, and its axes to be LPS"
+        lps = np.diag([*header.get_zooms()[:3], 1.0]).astype(float)
+        return np.diag([-1.0, -1.0, 1.0, 1.0]) @ lps, [
+            f"it states no position (sform, qform); {said}"
+        ]
+    if sform is not None and qform is not None and not np.allclose(sform, qform, atol=1e-3):
+        return sform, ["its sform and its qform differ; the sform is taken"]
+    return (qform if sform is None else sform), []

@@ -14,41 +14,10 @@ import numpy as np  # isort: skip
 
 from sonoservo.diagrams import load_scenario
 from sonoservo.diagrams.experiments.following import FollowingExperiment
-from sonoservo.systems.signals.needle import Needle
-from sonoservo.systems.signals.sweep import Sweep, SweepGeometry, SweepMotion
-from sonoservo.systems.ultrasound.imaging import ImagingParameters
-from sonoservo.systems.ultrasound.scan_conversion import ScanConversion, make_grid
-from sonoservo.systems.ultrasound.simulation.rendering import SweepRenderer
-from sonoservo.systems.ultrasound.simulation.scanner_parameters import ScannerParameters
-from sonoservo.systems.ultrasound.simulation.tissue import load_tissue
-from sonoservo.systems.ultrasound.transducer import Transducer
 
 FIG5 = "chatelain2013_fig5"
 SETTLED, MEASURED = 3.0, 12.0
 """Time in s at which the kernels are loaded, and duration with and without a needle, in s."""
-NEEDLE = Needle(np.array([[-0.06, 0.01, -0.045], [0.02, 0.0, -0.045]]), 0.635e-3)
-DOWN = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, -0.004], [0, 0, 0, 1.0]])
-LARGE = SweepGeometry(
-    array_radius=0.04,
-    motor_radius=0.02725,
-    line_pitch=np.deg2rad(0.608768),
-    frame_pitch=np.deg2rad(1.4634),
-    sample_pitch=0.12 / 479,
-    lines=128,
-    frames=61,
-    samples=480,
-    frame_period=0.02,
-)
-
-
-def best(function, rounds):
-    """Least processor time of a call in ms, of all threads; the first call does not count."""
-    times = []
-    for _ in range(rounds + 1):
-        began = time.process_time()
-        function()
-        times.append(time.process_time() - began)
-    return 1e3 * min(times[1:])
 
 
 def loop(scenario):
@@ -74,37 +43,6 @@ def loop(scenario):
     }
 
 
-def rendering():
-    """Processor time of a sweep over agar with a needle, of a moving probe and of one at rest."""
-    renderer = SweepRenderer(
-        transducer=Transducer(),
-        imaging=ImagingParameters(),
-        tissue=load_tissue("agar"),
-        parameters=ScannerParameters(),
-        seed=0,
-    )
-    frames, numbers = renderer.geometry.frames, iter(range(1000))
-    poses = np.repeat(DOWN[np.newaxis], frames, axis=0)
-
-    def render(speed):
-        poses[:, 0, 3] += speed
-        renderer.render(poses, [NEEDLE] * frames, 1, next(numbers))
-
-    return [best(lambda speed=speed: render(speed), 12) for speed in (1e-6, 0.0)]
-
-
-def conversion():
-    """Processor time of 44 million voxels, of a probe at rest and with its motion compensated."""
-    grid = make_grid(LARGE, 0.5e-3)
-    poses = np.tile(np.eye(4), (LARGE.frames, 1, 1))
-    times = LARGE.frame_period * np.arange(LARGE.frames)
-    poses[:, 0, 3] = 0.01 * times
-    samples = np.random.default_rng(0).integers(0, 256, LARGE.shape, np.uint8)
-    sweep = Sweep(samples, SweepMotion(LARGE, 1, times, poses))
-    at_rest, moving = (ScanConversion(LARGE, grid, compensate_motion=c) for c in (False, True))
-    return [best(lambda convert=convert: convert(sweep), 4) for convert in (at_rest, moving)]
-
-
 def first_volume():
     """Processor time from the start of the process to the first volume in ms."""
     experiment = FollowingExperiment(load_scenario(FIG5, seed=100))
@@ -119,16 +57,10 @@ def measure(only_loop):
     measured = loop(FIG5)
     if only_loop:
         return measured
-    moves, still = rendering()
-    at_rest, compensated = conversion()
     return {
         "start of the program to the first volume": start,
         **measured,
         **loop("clinic"),
-        "rendering, probe moves": moves,
-        "rendering, probe still": still,
-        "conversion of 44 Mvoxel": at_rest,
-        "conversion of 44 Mvoxel, motion compensated": compensated,
     }
 
 

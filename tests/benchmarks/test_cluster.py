@@ -17,10 +17,8 @@ from clusters.sleeping_workers import sleep, unused
 from distributed import Client
 from matplotlib.figure import Figure
 
+from sonoservo.diagrams.studies import Case, open_cluster, run_cases
 from sonoservo.diagrams.studies.cluster.cluster import Cluster
-from sonoservo.diagrams.studies.cluster.opening import open_cluster
-from sonoservo.diagrams.studies.runs import run_cases
-from sonoservo.diagrams.studies.study import Case
 
 WORKERS = int(os.environ.get("BENCH_WORKERS", "250"))
 SECONDS = float(os.environ.get("BENCH_SECONDS", "15"))

@@ -8,11 +8,14 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantValueSource
 from pydrake.trajectories import PiecewisePolynomial
 
-from sonoservo.diagrams.probe_controller import MakeProbeController, ProbeControllerParameters
-from sonoservo.diagrams.station import MakeStation, StationParameters
+from sonoservo.diagrams import (
+    MakeProbeController,
+    MakeStation,
+    ProbeControllerParameters,
+    StationParameters,
+)
 from sonoservo.systems.robot.phantom import PhantomMotion
-from sonoservo.systems.signals.needle_curve import NeedleCurve
-from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
+from sonoservo.systems.signals import NeedleCurve, NeedleEstimate, TrackingMode
 
 
 def test_one_second_of_station_and_controller(benchmark):

@@ -5,7 +5,7 @@ import time
 import pytest
 
 from sonoservo.diagrams import load_scenario
-from sonoservo.diagrams.studies.datasets.dataset import make_dataset
+from sonoservo.diagrams.studies import make_dataset
 
 VOLUMES = 10
 """Number of volumes in each of the sequences."""

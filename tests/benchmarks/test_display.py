@@ -12,17 +12,14 @@ import numpy as np
 import pytest
 from bokeh.document import Document
 from playwright.sync_api import Error, sync_playwright
-from synthetic_volumes import Scene, entry_on_side
+from synthetic_volumes import ENTRY, Scene
 
 from sonoservo.diagrams import load_scenario, make_experiment
-from sonoservo.systems.display.console.console import Console, picture_volume
+from sonoservo.systems.display import Console, Site, open_meshcat
+from sonoservo.systems.display.console.console import picture_volume
 from sonoservo.systems.display.console.document import PageDocument
-from sonoservo.systems.display.pages.meshcat_page import open_meshcat
-from sonoservo.systems.display.pages.site import Site
-from sonoservo.systems.signals.needle_curve import NeedleCurve
-from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
+from sonoservo.systems.signals import NeedleCurve, NeedleEstimate, TrackingMode
 
-ENTRY = entry_on_side()
 TIP = ENTRY + np.array([0.045, 0.012, 0.005])
 ALONE = os.environ | {
     "PYTHONPATH": os.pathsep.join([str(Path(__file__).parents[1] / "helpers"), *sys.path])

@@ -24,10 +24,6 @@ LOOP = (
 NAMES = (
     "start of the program to the first volume",
     *(f"{scenario}: {each}" for scenario in ("chatelain2013_fig5", "clinic") for each in LOOP),
-    "rendering, probe moves",
-    "rendering, probe still",
-    "conversion of 44 Mvoxel",
-    "conversion of 44 Mvoxel, motion compensated",
 )
 
 pytestmark = [pytest.mark.slow, pytest.mark.bench]

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from skimage.feature import match_template
 
-from sonoservo.diagrams import load_scenario, make_experiment
-from sonoservo.diagrams.shape_predictor import estimate_shape
-from sonoservo.systems.shape.cross_section import CrossSectionParameters, find_again
+from sonoservo.diagrams import estimate_shape, load_scenario, make_experiment
+from sonoservo.systems.shape import CrossSectionParameters
+from sonoservo.systems.shape.cross_section import find_again
 from sonoservo.systems.shape.normalized_cross_correlation import normalized_cross_correlation
 
 PAPER_MS = {"image": 3.1, "particle filter": 2.8}

@@ -4,12 +4,9 @@ import numpy as np
 import pytest
 
 from sonoservo.diagrams.papers.zhao2012.phantom import IMAGING as ZHAO
-from sonoservo.systems.signals.needle import Needle
-from sonoservo.systems.ultrasound.imaging import ImagingParameters
-from sonoservo.systems.ultrasound.simulation.rendering import SweepRenderer
-from sonoservo.systems.ultrasound.simulation.scanner_parameters import ScannerParameters
-from sonoservo.systems.ultrasound.simulation.tissue import load_tissue
-from sonoservo.systems.ultrasound.transducer import load_transducer
+from sonoservo.systems.signals import Needle
+from sonoservo.systems.ultrasound import ImagingParameters, load_transducer
+from sonoservo.systems.ultrasound.simulation import ScannerParameters, SweepRenderer, load_tissue
 
 LARGE = ImagingParameters(depth=0.1476, sector=1.0, frames=31, volume_rate=1.3)
 SIZES = {

@@ -6,10 +6,14 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
-from sonoservo.systems.signals.sweep import Sweep, SweepGeometry, SweepMotion
-from sonoservo.systems.ultrasound.imaging import ImagingParameters, sweep_geometry
-from sonoservo.systems.ultrasound.scan_conversion import ScanConversion, make_grid
-from sonoservo.systems.ultrasound.transducer import Transducer
+from sonoservo.systems.signals import Sweep, SweepGeometry, SweepMotion
+from sonoservo.systems.ultrasound import (
+    ImagingParameters,
+    ScanConversion,
+    Transducer,
+    make_grid,
+    sweep_geometry,
+)
 
 LARGE = SweepGeometry(
     array_radius=0.04,

@@ -1,33 +1,18 @@
 """Detection and tracking on volumes of the paper's size, against what a user would pick instead."""
 
-import time
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from skimage.feature import match_template
-from synthetic_volumes import Scene, entry_on_side
+from synthetic_volumes import ENTRY, Scene
 
 from sonoservo.diagrams.papers.zhao2012.phantom import DIRECTION, TOWARDS, Phantom, StraightNeedle
 from sonoservo.diagrams.papers.zhao2012.tracking import BMode, Tracking
-from sonoservo.systems.shape.normalized_cross_correlation import normalized_cross_correlation
-from sonoservo.systems.signals.needle_curve import NeedleCurve
-from sonoservo.systems.signals.needle_prediction import NeedlePrediction
+from sonoservo.systems.signals import NeedleCurve, NeedlePrediction
+from sonoservo.systems.tracking import NeedleLocalizerParameters, localize
 from sonoservo.systems.tracking.line_belief import LineBelief, follow
-from sonoservo.systems.tracking.localizer_parameters import NeedleLocalizerParameters
-from sonoservo.systems.tracking.pipeline import localize
 
-ENTRY = entry_on_side()
 TIP = ENTRY + np.array([0.045, 0.012, 0.005])
-
-
-def median_time(function, repeats=5):
-    times = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        function()
-        times.append(time.perf_counter() - start)
-    return float(np.median(times))
 
 
 def compare(benchmark, name, seconds):
@@ -66,16 +51,6 @@ def test_localize(benchmark, volumes, everywhere):
     found = benchmark(lambda: localize(volumes[1], prediction, parameters, rng))
     assert np.linalg.norm(found.curve.tip - TIP) < 3e-3
     compare(benchmark, "the paper's acquisition, 175 ms a volume", 0.175)
-
-
-@pytest.mark.parametrize("dtype", ["float64", "float32"])
-def test_normalized_cross_correlation(benchmark, dtype):
-    search = np.random.default_rng(0).normal(size=(11, 37, 61)).astype(dtype)
-    kernel = search[2:9, 8:29, 5:56].copy()
-    rho = benchmark(lambda: normalized_cross_correlation(search, kernel))
-    assert rho.max() == pytest.approx(1)
-    theirs = median_time(lambda: match_template(search, kernel), 9)
-    compare(benchmark, "scikit-image: feature.match_template", theirs)
 
 
 def test_zhao_s_tracker_on_a_whole_radio_frequency_volume(benchmark):

@@ -5,9 +5,6 @@ import shutil
 import pytest
 from playwright.sync_api import Error, sync_playwright
 
-from sonoservo.systems.display.pages.meshcat_page import open_meshcat
-from sonoservo.systems.display.pages.site import Site
-
 NO_CHROMIUM = "no Chromium: install it with your package manager, or `playwright install chromium`"
 KNOWN_WARNINGS = (
     "GPU stall due to ReadPixels",
@@ -50,23 +47,13 @@ def no_garbage():
 
 
 @pytest.fixture
-def meshcat():
-    """A Meshcat that outlives the pages, if it comes before `open_page` among the arguments."""
-    with Site() as site:
-        yield open_meshcat(site)
-
-
-@pytest.fixture
-def open_page(browser, request):
+def open_page(browser):
     """Open an address and wait until it shows something.
 
-    Pages are 1000 x 700 pixels unless the test is marked with another `viewport`. At the end,
-    anything on the console but known warnings fails the test, and so does a request that left this
-    machine.
+    At the end, anything on the console but known warnings fails the test, and so does a request
+    that left this machine.
     """
-    marker = request.node.get_closest_marker("viewport")
-    width, height = marker.args if marker else (1000, 700)
-    context = browser.new_context(viewport={"width": width, "height": height})
+    context = browser.new_context(viewport={"width": 1000, "height": 700})
     context.set_default_timeout(60_000)  # in ms; a busy machine draws slowly
     complaints = []
 

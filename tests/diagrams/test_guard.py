@@ -11,20 +11,15 @@ from fault_runs import (
     FaultLoop,
     changed,
     draw_case,
-    fault_table,
     rise,
     run_faults,
 )
 
-from sonoservo.diagrams import load_scenario
-from sonoservo.diagrams.probe_controller import (
-    MakeProbeController,
-    ProbeControllerParameters,
-)
+from sonoservo.diagrams import MakeProbeController, ProbeControllerParameters, load_scenario
 from sonoservo.models import model_path
-from sonoservo.systems.control.guard_parameters import GuardParameters
+from sonoservo.systems.control import GuardParameters
 from sonoservo.systems.files.refusals import ConfigurationError
-from sonoservo.systems.robot.phantom_motion import Breathing, PhantomMotionParameters
+from sonoservo.systems.robot import Breathing, PhantomMotionParameters
 
 PAGE = Path(__file__).parents[2] / "notebooks/docs/robot.md"
 
@@ -118,14 +113,14 @@ def test_each_row_of_the_page_is_what_happens(loops, name):
     noticed, reaction, peak, _ = page_rows()[name]
     result = loops[ROWS[name].alone].run(ROWS[name])
     for words in re.findall(r"\*(.+?)\*", noticed):
-        assert any(words in each for each in result.reasons), fault_table([result])
+        assert any(words in each for each in result.reasons), result
     assert bool(result.reasons) == ("*" in noticed)
     assert result.peak == pytest.approx(float(peak), abs=0.75)
     assert ("goes on" in reaction) == result.recovered
     if name.startswith("both"):
         assert result.longest_above == pytest.approx(1.0, abs=0.15)
     else:
-        assert not result.faults, fault_table([result])
+        assert not result.faults, result
 
 
 def test_an_arm_without_torques_may_not_press_hard(tmp_path):
@@ -154,21 +149,15 @@ def test_without_the_guard_the_force_is_not_held():
 def test_the_guard_holds_at_the_ends_of_its_own_parameters(end):
     ends = changed({"guards": {name: values[end] for name, values in GUARDS.items()}})
     (result,) = run_faults([FaultCase(faults=(fault("nan"),), motion=UP, controller=ends)])
-    assert not result.faults, fault_table([result])
+    assert not result.faults, result
 
 
-def test_faults_that_a_seed_draws():
-    results = run_faults(draw_case(seed) for seed in range(2))
-    bad = [each for each in results if each.faults]
-    assert not bad, fault_table(bad)
-
-
-@pytest.mark.slow
-def test_three_hundred_faults_that_a_seed_draws():
-    results = run_faults(draw_case(seed) for seed in range(100, 400))
-    print(fault_table(results))
-    bad = [each for each in results if each.faults]
-    assert not bad, fault_table(bad)
+@pytest.mark.parametrize(
+    "seeds", [range(2), pytest.param(range(100, 400), marks=pytest.mark.slow)], ids=len
+)
+def test_faults_that_a_seed_draws(seeds):
+    bad = [each for each in run_faults(map(draw_case, seeds)) if each.faults]
+    assert not bad
 
 
 @pytest.mark.parametrize(
@@ -177,10 +166,6 @@ def test_three_hundred_faults_that_a_seed_draws():
         ("controller.force.force=1000", "controller.force.force: 1000.0 .* at most 8 N"),
         ("controller.guards.max_force=5", "guards.max_force"),
         ("controller.guards.retreat_speed=1e-4", "retreat_speed: 0.0001 .* from 0.1 to 0.5"),
-        ("controller.force.approach_speed=1", "controller.force.approach_speed: 1.0 .* 0.05 m/s"),
-        ("controller.force.proportional_gain=1", "controller.force.proportional_gain: 1.0"),
-        ("controller.visual_servo.gain=50", "controller.visual_servo.gain: 50.0 .* 10 1/s"),
-        ("controller.kinematics.axis=[0, 0, 1]", "controller.kinematics.axis: .* the body"),
         ("controller.kinematics.axis=[1, 0, -0.5]", "controller.kinematics.axis: .* 60 deg"),
         ("controller_changes=[{time: 1, force: 50}]", "controller_changes.0.force: 50.0 .* 8 N"),
         ("station.sensor_faults=[{kind: odd}]", "station.sensor_faults.0.kind: 'odd'"),
@@ -190,8 +175,3 @@ def test_parameters_have_floors_and_ceilings(change, message):
     changes = [change] + ["controller.force.force=4.5"] * ("max_force" in change)
     with pytest.raises(ConfigurationError, match=message):
         load_scenario("chatelain2013_fig5", changes=changes)
-
-
-def test_parameters_at_their_ceilings_are_allowed():
-    assert changed({"force": {"force": 8.0}}).force.force == 8.0
-    load_scenario("chatelain2013_fig5", changes=["controller.kinematics.axis=[0, 0.5, -1]"])

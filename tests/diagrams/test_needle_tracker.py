@@ -5,24 +5,19 @@ import pytest
 from pydrake.common.value import Value
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import LeafSystem
-from synthetic_volumes import Scene, entry_on_side
+from synthetic_volumes import ENTRY, K, Scene
 
-from sonoservo.diagrams.needle_tracker import MakeNeedleTracker, require_tracker
+from sonoservo.diagrams import MakeNeedleTracker, track
+from sonoservo.diagrams.needle_tracker import require_tracker
 from sonoservo.diagrams.papers.chatelain2013.method.detection import PublishedDetectionParameters
 from sonoservo.diagrams.papers.chatelain2013.method.tracker import (
     Chatelain2013AsPublishedParameters,
 )
 from sonoservo.diagrams.papers.zhao2012.method.tracker import Zhao2012AsPublishedParameters
-from sonoservo.diagrams.tracker_bench import track
-from sonoservo.diagrams.trackers import (
-    Chatelain2013TrackerParameters,
-    Zhao2012TrackerParameters,
-)
+from sonoservo.diagrams.trackers import Chatelain2013TrackerParameters, Zhao2012TrackerParameters
 from sonoservo.diagrams.trackers.registry import TRACKERS
 from sonoservo.systems.files.refusals import ConfigurationError
-from sonoservo.systems.signals.immutable import NotFound
-from sonoservo.systems.signals.needle_estimate import TrackingMode
-from sonoservo.systems.tracking.axis_tip_filter import AxisTipFilter
+from sonoservo.systems.signals import NotFound, TrackingMode
 
 PERIOD = 0.303
 SPEED = 8e-3
@@ -33,8 +28,6 @@ SCENE = Scene(
     balls=[([0.01, 0.06, 0.008], 2e-3)],
     rods=[([0.0, 0.07, 0.0], [0.012, 0.072, 0.003])],
 )
-ENTRY = entry_on_side()
-K = np.array([1, 0.25, 0.1]) / np.linalg.norm([1, 0.25, 0.1])
 
 
 AGAIN = 46
@@ -190,47 +183,6 @@ def test_every_tracker_has_one_face(parameters):
     # All that reaches an output at once is the explanation: the estimate is a state.
     assert [tracker.HasDirectFeedthrough(n) for n in range(4)] == [False, False, False, True]
     assert tracker.get_name() == "needle_tracker"
-
-
-@pytest.mark.parametrize("parameters", TRACKERS)
-def test_the_prediction_does_not_depend_on_what_it_serves(parameters):
-    """Localizer and track manager form a loop that is none: the diagram would not build."""
-    tracker = MakeNeedleTracker(parameters=parameters(), period=1.0)
-    manager = tracker.GetSubsystemByName("track_manager")
-    prediction = manager.GetOutputPort("prediction").get_index()
-    for port in ("detection", "measurement", "velocity", "explanation"):
-        assert not manager.HasDirectFeedthrough(manager.GetInputPort(port).get_index(), prediction)
-    assert manager.HasDirectFeedthrough(manager.GetInputPort("volume").get_index(), prediction)
-
-
-def test_explanation_tells_why_an_estimate_is_what_it_is(volumes):
-    tracker = MakeNeedleTracker(period=1.0)
-    context = tracker.CreateDefaultContext()
-    for volume in volumes[:23]:
-        tracker.GetInputPort("volume").FixValue(context, Value[object](volume))
-        tracker.ExecuteForcedEvents(context)
-        explained, measured = (
-            tracker.GetOutputPort(port).Eval(context) for port in ("explanation", "measurement")
-        )
-        assert explained.volume_time == volume.time
-        if not measured:
-            assert explained.measurement.reason == measured.reason
-            continue
-        # Computed anew, and yet the same: it is explained from the prediction that served.
-        np.testing.assert_array_equal(
-            explained.measurement.curve.control_points, measured.curve.control_points
-        )
-        assert any(each.measurement is explained.measurement for each in explained.attempts)
-        assert explained.innovation is None or explained.innovation < explained.gate
-    assert explained.innovation is not None
-
-
-def test_a_tracker_may_take_another_s_filter(volumes):
-    parameters = Chatelain2013TrackerParameters(filter=AxisTipFilter())
-    found = [e for e in track(volumes[:20], parameters=parameters) if e]
-    assert np.linalg.norm(found[-1].curve.tip - needle(found[-1].time)[1]) < 3e-3
-    with pytest.raises(ValueError, match="order: 3"):
-        Chatelain2013TrackerParameters(order=3, filter=AxisTipFilter())
 
 
 @pytest.mark.parametrize(

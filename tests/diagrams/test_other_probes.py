@@ -10,10 +10,10 @@ from sonoservo.diagrams.studies.robustness.planned_motion import run_open_loop
 from sonoservo.diagrams.studies.robustness.runs import PLAIN, record
 from sonoservo.systems.files.model_file import model_file
 from sonoservo.systems.files.typed_yaml import apply_changes, read_yaml
-from sonoservo.systems.tracking.localizer_parameters import NeedleLocalizerParameters
+from sonoservo.systems.tracking import NeedleLocalizerParameters
 from sonoservo.systems.tracking.needle_blur import streak_lengths
 from sonoservo.systems.tracking.needle_line import needle_lines
-from sonoservo.systems.ultrasound.transducer import load_transducer
+from sonoservo.systems.ultrasound import load_transducer
 
 TRACKER = "chatelain2013"
 LENS_AT_20_MM = {"lens_focus": 0.020}

@@ -2,14 +2,10 @@ import numpy as np
 import pytest
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform
-from pydrake.systems.analysis import Simulator
 
-from sonoservo.diagrams.shape_predictor import MakeShapePredictor
-from sonoservo.systems.shape.cross_section import CrossSectionParameters
-from sonoservo.systems.signals.cross_section import CrossSection
-from sonoservo.systems.signals.image_slice import ImageClick, ImageSlice
-from sonoservo.systems.signals.immutable import NotFound
-from sonoservo.systems.signals.needle_shape import NeedleShape
+from sonoservo.diagrams import MakeShapePredictor
+from sonoservo.systems.shape import CrossSectionParameters
+from sonoservo.systems.signals import CrossSection, ImageSlice, NeedleShape, NotFound
 
 SPACING, ORIGIN = 0.2e-3, np.array([-0.02, 0.005])
 RADIUS = CrossSectionParameters().needle_radius
@@ -79,36 +75,3 @@ def test_it_follows_the_predicted_shape_while_the_needle_is_not_seen():
     shape = predictor.GetOutputPort("shape").Eval(context)
     assert isinstance(shape, NeedleShape)
     assert shape.observed == pytest.approx(0.06)
-
-
-def test_its_own_events_take_note_of_a_slice():
-    localizer = CrossSectionParameters(start=[0.0, 0.025])
-    predictor = MakeShapePredictor(localizer=localizer, period=0.5, offset=0.25)
-    simulator = Simulator(predictor)
-    context = simulator.get_mutable_context()
-    predictor.GetInputPort("slice").FixValue(context, Value[object](picture([0.0, 0.025])))
-    simulator.AdvanceTo(0.2)
-    assert not predictor.GetOutputPort("shape").Eval(context)
-    simulator.AdvanceTo(0.3)
-    assert predictor.GetOutputPort("shape").Eval(context)
-
-
-def test_it_asks_for_slices_alone():
-    predictor = MakeShapePredictor(period=1.0)
-    assert [predictor.get_input_port(i).get_name() for i in range(predictor.num_input_ports())] == [
-        "slice"
-    ]
-    names = {system.get_name() for system in predictor.GetSystems()}
-    assert names == {"cross_section_localizer", "cross_section_memory", "shape_estimator"}
-
-
-def test_on_request_it_waits_for_a_click():
-    predictor = MakeShapePredictor(period=1.0, click=True)
-    context = predictor.CreateDefaultContext()
-    click = predictor.GetInputPort("click")
-    click.FixValue(context, Value[object](NotFound("no click")))
-    for number in range(5):
-        assert not show(predictor, context, picture([0.0, 0.025], seed=number, time=number))
-    click.FixValue(context, Value[object](ImageClick([0.3e-3, 0.025])))
-    found = show(predictor, context, picture([0.0, 0.025], seed=9, time=9))
-    assert np.allclose(found.centre, [0.0, 0.025], atol=0.2e-3)

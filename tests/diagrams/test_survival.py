@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from sonoservo.diagrams import load_scenario, run
-from sonoservo.systems.evaluation.run_errors import estimate_errors
-from sonoservo.systems.signals.needle_estimate import TrackingMode
+from sonoservo.systems.evaluation import estimate_errors
+from sonoservo.systems.signals import TrackingMode
 
-STRAIGHT = ["hand.entry_spread=[0, 0, 0]", "hand.angle_spread_deg=0", "hand.dip_deg=3"]
-PUSHED = [*STRAIGHT, "hand.start=2.5", "hand.pushes=[{duration: 9, speed: 0.008}]"]
+PUSHED = ["hand.entry_spread=[0, 0, 0]", "hand.angle_spread_deg=0", "hand.dip_deg=3",
+          "hand.start=2.5", "hand.pushes=[{duration: 9, speed: 0.008}]"]  # fmt: skip
 
 FIBRES = """
 tissue:
@@ -22,73 +22,65 @@ tissue:
 """
 
 
-def follow(changes, seed=200):
-    """Run, and return the summary, the log and which volumes give a tip that is right."""
-    result = run(load_scenario("chatelain2013_fig5", seed=seed, changes=changes))
-    log = result.log
-    errors = estimate_errors(log)
+PAST = 1e9
+CASES = {
+    "fibres like needles beside it": (["duration=16"], [(10.0, PAST)]),
+    "near one face of the field of view": (
+        ["station.probe.yaw_deg=0", "hand.entry=[-0.12, -0.022, -0.042]", "duration=18"],
+        [(12.0, PAST)],
+    ),
+    "near the other face": (
+        ["station.probe.yaw_deg=0", "hand.entry=[-0.12, 0.022, -0.042]", "duration=18"],
+        [(12.0, PAST)],
+    ),
+    "withdrawn to nothing and put in elsewhere": (
+        [
+            "hand.pushes=[{duration: 8, speed: 0.008}, {duration: 7, speed: -0.01},"
+            "{duration: 9, speed: 0.008, entry: [-0.12, 0.010, -0.034]}]",
+            "duration=30",
+        ],
+        [(9.0, 12.5), (26.0, PAST)],
+    ),
+    "stops for long": (
+        [
+            "hand.pushes=[{duration: 8, speed: 0.008}, {duration: 40}, {duration: 4, speed: 5e-3}]",
+            "duration=56",
+        ],
+        [(10.0, PAST)],
+    ),
+    "contact lost for a second": (
+        [
+            "phantom_motion.moves=[{start: 14, duration: 0.4, translation: [0, 0, -0.012]},"
+            "{start: 15, duration: 0.4, translation: [0, 0, 0.01]}]",
+            "duration=24",
+        ],
+        [(10.0, 14.0), (18.5, PAST)],
+    ),
+    "saturated gain": (["imaging.gain=0.6", "duration=18"], [(11.0, PAST)]),
+}
+"""Changes, and spans of time in s in which the needle must be followed."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CASES)
+def test_a_needle_is_followed(name, tmp_path):
+    """In each span all volumes but one in ten are right, and so is the last."""
+    changes, spans = CASES[name]
+    if name.startswith("fibres"):
+        (tmp_path / "fibres.yaml").write_text(FIBRES)
+        changes = [*changes, f"phantom={tmp_path / 'fibres.yaml'}"]
+    result = run(load_scenario("chatelain2013_fig5", seed=200, changes=[*PUSHED, *changes]))
+    log, errors = result.log, estimate_errors(result.log)
     tracking = log.volume_estimate_mode == TrackingMode.TRACKING
-    return result.summary, log, tracking & (errors.tip < 2.5e-3) & (errors.axis < np.radians(3))
-
-
-def assert_followed(log, right, start, stop=np.inf):
-    """All volumes but one in ten are right, and so is the last."""
-    asked = right[(log.volume_time > start) & (log.volume_time < stop)]
-    assert len(asked) > 8
-    assert asked.mean() > 0.9
-    assert asked[-1]
-
-
-@pytest.mark.slow
-def test_fibres_like_needles_beside_the_needle(tmp_path):
-    path = tmp_path / "fibres.yaml"
-    path.write_text(FIBRES)
-    summary, log, right = follow([*PUSHED, "duration=16", f"phantom={path}"])
-    assert summary["detection"]["false_starts"] == 0
-    assert_followed(log, right, 10.0)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("y", [-0.022, 0.022])
-def test_a_needle_near_a_face_of_the_field_of_view(y):
-    changes = ["station.probe.yaw_deg=0", f"hand.entry=[-0.12, {y}, -0.042]", "duration=18"]
-    _, log, right = follow(PUSHED + changes)
-    assert_followed(log, right, 12.0)
-
-
-@pytest.mark.slow
-def test_withdrawn_to_nothing_and_put_in_elsewhere():
-    pushes = (
-        "hand.pushes=[{duration: 8, speed: 0.008}, {duration: 7, speed: -0.01},"
-        "{duration: 9, speed: 0.008, entry: [-0.12, 0.010, -0.034]}]"
-    )
-    _, log, right = follow([*STRAIGHT, "hand.start=2.5", pushes, "duration=30"])
-    assert_followed(log, right, 9.0, 12.5)
-    outside = (log.volume_time > 18.5) & (log.volume_time < 20.0)
-    assert not (log.volume_estimate_mode[outside] == TrackingMode.TRACKING).any()
-    assert_followed(log, right, 26.0)
-
-
-@pytest.mark.slow
-def test_a_needle_that_stops_for_long():
-    pushes = "hand.pushes=[{duration: 8, speed: 0.008}, {duration: 40}, {duration: 4, speed: 5e-3}]"
-    _, log, right = follow([*STRAIGHT, "hand.start=2.5", pushes, "duration=56"])
-    assert_followed(log, right, 10.0)
-
-
-@pytest.mark.slow
-def test_contact_lost_for_a_second():
-    moves = (
-        "phantom_motion.moves=[{start: 14, duration: 0.4, translation: [0, 0, -0.012]},"
-        "{start: 15, duration: 0.4, translation: [0, 0, 0.01]}]"
-    )
-    summary, log, right = follow([*PUSHED, moves, "duration=24"])
-    assert 0.3 < summary["force"]["contact_lost_s"] < 2.0
-    assert_followed(log, right, 10.0, 14.0)
-    assert_followed(log, right, 18.5)
-
-
-@pytest.mark.slow
-def test_saturated_gain():
-    _, log, right = follow([*PUSHED, "imaging.gain=0.6", "duration=18"])
-    assert_followed(log, right, 11.0)
+    right = tracking & (errors.tip < 2.5e-3) & (errors.axis < np.radians(3))
+    for start, stop in spans:
+        asked = right[(log.volume_time > start) & (log.volume_time < stop)]
+        assert len(asked) > 8
+        assert asked.mean() > 0.9
+        assert asked[-1]
+    if name.startswith("fibres"):
+        assert result.summary["detection"]["false_starts"] == 0
+    if name.startswith("withdrawn"):
+        assert not tracking[(log.volume_time > 18.5) & (log.volume_time < 20.0)].any()
+    if name.startswith("contact"):
+        assert 0.3 < result.summary["force"]["contact_lost_s"] < 2.0

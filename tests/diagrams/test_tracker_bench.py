@@ -6,13 +6,11 @@ from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import LeafSystem
 
-from sonoservo.diagrams.tracker_bench import OBSERVED, MakeTrackerBench, Sample, TrackerBench
+from sonoservo.diagrams import MakeTrackerBench, TrackerBench
+from sonoservo.diagrams.tracker_bench import OBSERVED, Sample
 from sonoservo.diagrams.wiring import TRUTH
 from sonoservo.systems.files.refusals import ConfigurationError
-from sonoservo.systems.signals.needle import Needle
-from sonoservo.systems.signals.needle_curve import NeedleCurve
-from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
-from sonoservo.systems.signals.volume import Volume
+from sonoservo.systems.signals import Needle, NeedleCurve, NeedleEstimate, TrackingMode, Volume
 
 NEEDLE = np.array([[-0.02, 0.03, 0], [0.01, 0.04, 0.01]])
 

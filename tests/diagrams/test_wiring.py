@@ -2,7 +2,8 @@ import pytest
 from pydrake.common.value import Value
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 
-from sonoservo.diagrams.wiring import TRUTH, connect_by_name
+from sonoservo.diagrams import connect_by_name
+from sonoservo.diagrams.wiring import TRUTH
 
 
 class Ports(LeafSystem):

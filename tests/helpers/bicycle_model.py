@@ -20,8 +20,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from sonoservo.systems.signals import Immutable
 from sonoservo.systems.signals.bicycle_paths import deflections
-from sonoservo.systems.signals.immutable import Immutable
 from sonoservo.systems.signals.requirements import require
 
 Floats = NDArray[np.float64]

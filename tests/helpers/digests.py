@@ -9,14 +9,10 @@ import sys
 
 import numpy as np
 
-from sonoservo.diagrams import load_scenario
-from sonoservo.diagrams.experiments.following import FollowingExperiment
+from sonoservo.diagrams import FollowingExperiment, load_scenario
 
 SMALL = {"imaging.depth": 0.075, "imaging.frame_pitch_deg": 2.0, "hand.start": 1.0}
-SCENARIOS = {
-    "chatelain2013_fig5": SMALL | {"hand.entry": [-0.10, 0.0, -0.042]},
-    "clinic": SMALL,
-}
+SCENARIOS = {"chatelain2013_fig5": SMALL | {"hand.entry": [-0.10, 0.0, -0.042]}, "clinic": SMALL}
 
 
 def digest(*values):

@@ -2,20 +2,21 @@
 
 import numpy as np
 from pydrake.math import RigidTransform
-from synthetic_volumes import Scene, entry_on_side
+from synthetic_volumes import ENTRY, K, Scene
 
 from sonoservo.systems.evaluation.explanation.explained_volume import explain_volume
-from sonoservo.systems.signals.localization_explanation import LocalizationExplanation
-from sonoservo.systems.signals.needle_curve import NeedleCurve
-from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
-from sonoservo.systems.signals.needle_prediction import NeedlePrediction
-from sonoservo.systems.signals.volume import Volume
-from sonoservo.systems.tracking.localizer_parameters import NeedleLocalizerParameters
+from sonoservo.systems.signals import (
+    LocalizationExplanation,
+    NeedleCurve,
+    NeedleEstimate,
+    NeedlePrediction,
+    TrackingMode,
+    Volume,
+)
+from sonoservo.systems.tracking import NeedleLocalizerParameters
 from sonoservo.systems.tracking.pipeline import explain_localization
 
 SCENE = Scene(seed=5, spacing=1.2e-3)
-ENTRY = entry_on_side()
-K = np.array([1, 0.25, 0.1]) / np.linalg.norm([1, 0.25, 0.1])
 NEEDLE = np.array([ENTRY, ENTRY + 30e-3 * K])
 
 

@@ -12,18 +12,17 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 from pydrake.systems.primitives import LogVectorOutput
 
-from sonoservo.diagrams.probe_controller import MakeProbeController, ProbeControllerParameters
-from sonoservo.diagrams.station import MakeStation, ProbePlacement, StationParameters
-from sonoservo.systems.robot.errors.sensor_faults import SensorFault, faulty_sample
-from sonoservo.systems.robot.phantom_motion import (
-    Breathing,
-    Move,
-    PhantomMotionParameters,
-    phantom_trajectory,
+from sonoservo.diagrams import (
+    MakeProbeController,
+    MakeStation,
+    ProbeControllerParameters,
+    ProbePlacement,
+    StationParameters,
 )
-from sonoservo.systems.signals.guard_status import GuardState
-from sonoservo.systems.signals.needle_curve import NeedleCurve
-from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
+from sonoservo.systems.robot import Breathing, Move, PhantomMotionParameters
+from sonoservo.systems.robot.errors.sensor_faults import SensorFault, faulty_sample
+from sonoservo.systems.robot.phantom_motion import phantom_trajectory
+from sonoservo.systems.signals import GuardState, NeedleCurve, NeedleEstimate, TrackingMode
 
 STEP, DEFAULT = 0.01, ProbeControllerParameters()
 PHASES = {"approach": 0.3, "landing": 0.85, "pressing": 1.6, "following": 1.6}
@@ -61,10 +60,6 @@ class Fault:
     def holds(self, time: float) -> bool:
         return -1e-9 <= time - self.start < self.duration - 1e-9
 
-    def __str__(self) -> str:
-        value = f" {self.value:.3g}" if self.value else ""
-        return f"{self.where} {self.kind}{value} at {self.start:.2f} s for {self.duration:.3g} s"
-
 
 @dataclass(frozen=True, kw_only=True)
 class FaultCase:
@@ -99,20 +94,6 @@ class FaultCase:
             and sunk <= min(0.015, self.controller.guards.max_depth)
         )
 
-    def __str__(self) -> str:
-        moves = [
-            f"body {1e3 * np.array(m.translation)} mm, {m.rotation_deg} deg in {m.duration:.2f} s"
-            for m in self.motion.moves
-        ]
-        breathing = self.motion.breathing.peak_to_peak
-        return "; ".join(
-            [
-                *([self.name] if self.name else []), self.phase, *map(str, self.faults), *moves,
-                *([f"breathing {1e3 * breathing:.0f} mm"] if breathing else []),
-                *([f"latency {1e3 * self.latency:.0f} ms"] if self.latency else []),
-            ]
-        )  # fmt: skip
-
 
 @dataclass(frozen=True, kw_only=True)
 class FaultResult:
@@ -122,11 +103,8 @@ class FaultResult:
     peak: float
     longest_above: float
     reasons: tuple[str, ...]
-    noticed: str
-    interventions: int
     state: GuardState
     recovered: bool
-    force_at_end: float
 
     @property
     def faults(self) -> list[str]:
@@ -300,7 +278,7 @@ class FaultLoop:
         context = self.diagram.CreateDefaultContext()
         simulator = Simulator(self.diagram, context)
         mine = self.controller.GetMyContextFromRoot(context)
-        status, reasons, working = None, [], 0.0
+        reasons, working = [], 0.0
         last = case.end + (_PATIENCE if case.heals else 2.0)
         for time in np.arange(0.05, last, 0.05):
             simulator.AdvanceTo(time)
@@ -325,11 +303,8 @@ class FaultLoop:
             peak=float(force.max()),
             longest_above=STEP * float(spans.max(initial=0)),
             reasons=tuple(reasons),
-            noticed=status.remark if status else "",
-            interventions=status.interventions if status else 0,
             state=state,
             recovered=bool(working > 0.3),
-            force_at_end=float(force[-1]),
         )
 
 
@@ -424,11 +399,9 @@ def draw_case(seed: int) -> FaultCase:
         values["kinematics"]["axis"] = [float(np.sin(lean)), 0.0, -float(np.cos(lean))]
     controller = changed({name: each for name, each in values.items() if each})
     motion = PhantomMotionParameters(moves=moves, breathing=breathing)
-    changes = ", ".join(f"{k}={v:.3g}" if isinstance(v, float) else k
-                        for each in values.values() for k, v in each.items())  # fmt: skip
     return FaultCase(
-        name=f"{seed}{f' ({changes})' if changes else ''}", phase=phase, faults=tuple(faults),
-        motion=motion, latency=latency, controller=controller,
+        name=str(seed), phase=phase, faults=tuple(faults), motion=motion, latency=latency,
+        controller=controller,
     )  # fmt: skip
 
 
@@ -441,16 +414,3 @@ def run_faults(cases: Iterable[FaultCase]) -> list[FaultResult]:
             loop, made_for = FaultLoop(case.controller, case.alone), (case.controller, case.alone)
         results.append(loop.run(case))
     return results
-
-
-def fault_table(results: Iterable[FaultResult]) -> str:
-    """Results as lines of text."""
-    lines = ["peak N | > 15 N, s | back | end N | stops | wrong | fault: reasons"]
-    for each in results:
-        lines.append(
-            f"{each.peak:6.2f} | {each.longest_above:9.3f} | "
-            f"{'yes' if each.recovered else 'no':>4} | {each.force_at_end:5.2f} | "
-            f"{each.interventions:5d} | {','.join(each.faults):5} | {each.case}: "
-            f"{'; '.join(each.reasons) or '-'}{f' ({each.noticed})' if each.noticed else ''}"
-        )
-    return "\n".join(lines)

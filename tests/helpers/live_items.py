@@ -8,9 +8,7 @@ from pydrake.math import RigidTransform, RollPitchYaw
 
 from sonoservo.systems.live.connection.items import Item
 from sonoservo.systems.live.connection.open_igt_link import decode, make_framer
-from sonoservo.systems.signals.needle_curve import NeedleCurve
-from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
-from sonoservo.systems.signals.volume import Volume
+from sonoservo.systems.signals import NeedleCurve, NeedleEstimate, TrackingMode, Volume
 
 X = RigidTransform(RollPitchYaw(0.1, 0.2, 0.3), [0.01, 0.02, 0.03])
 

@@ -43,8 +43,7 @@ def middle_line(transducer, imaging, points, amplitudes, focus):
     delays = np.where(sending, delays - delays[sending].min(), np.nan)
     p.TXapodization = sending.astype(float)
     aperture = min(
-        focus / transducer.receive_f_number,
-        transducer.receive_elements * transducer.element_pitch,
+        focus / transducer.receive_f_number, transducer.receive_elements * transducer.element_pitch
     )
     window = np.where(np.abs(arc) < aperture / 2, np.cos(np.pi * arc / aperture) ** 2, 0)
     lateral, depth, elevation = np.transpose(points)

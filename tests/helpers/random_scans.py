@@ -5,12 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from pydrake.math import RigidTransform
 
-from sonoservo.diagrams import load_scenario
-from sonoservo.diagrams.app.scan import scan
-from sonoservo.systems.signals.needle_curve import NeedleCurve
-from sonoservo.systems.signals.volume import Volume
-from sonoservo.systems.ultrasound.imaging import sweep_geometry
-from sonoservo.systems.ultrasound.transducer import load_transducer
+from sonoservo.diagrams import load_scenario, scan
+from sonoservo.systems.signals import NeedleCurve, Volume
+from sonoservo.systems.ultrasound import load_transducer, sweep_geometry
 
 OUTSIDE = 15e-3
 """Length of needle in the tissue before it enters the field of view, in m."""

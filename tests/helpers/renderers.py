@@ -7,13 +7,14 @@ from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import LeafSystem
 
-from sonoservo.systems.signals.needle import Needle
-from sonoservo.systems.ultrasound.imaging import ImagingParameters
-from sonoservo.systems.ultrasound.simulation.needles.needle_echo import NeedleEchoParameters
-from sonoservo.systems.ultrasound.simulation.rendering import SweepRenderer
-from sonoservo.systems.ultrasound.simulation.scanner_parameters import ScannerParameters
-from sonoservo.systems.ultrasound.simulation.tissue import Tissue
-from sonoservo.systems.ultrasound.transducer import Transducer
+from sonoservo.systems.signals import Needle
+from sonoservo.systems.ultrasound import ImagingParameters, Transducer
+from sonoservo.systems.ultrasound.simulation import (
+    NeedleEchoParameters,
+    ScannerParameters,
+    SweepRenderer,
+    Tissue,
+)
 
 CLEAN = ScannerParameters(noise_db=-55, gain_error_db=0, clutter_db=-300, decorrelation=0)
 """A scanner whose image shows nothing but the tissue and what is in it."""

@@ -8,11 +8,9 @@ from pydrake.math import RigidTransform, RollPitchYaw
 from scipy.ndimage import gaussian_filter, map_coordinates
 from synthetic_volumes import GEOMETRY, grid
 
-from sonoservo.systems.recording.recording import Recording
-from sonoservo.systems.recording.recording_writer import RecordingWriter
+from sonoservo.systems.recording import Recording, RecordingWriter
+from sonoservo.systems.signals import SweepMotion, Volume
 from sonoservo.systems.signals.immutable import seal
-from sonoservo.systems.signals.sweep import SweepMotion
-from sonoservo.systems.signals.volume import Volume
 
 PITCH = 1e-3
 STEP = 1e-3

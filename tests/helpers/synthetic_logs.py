@@ -4,8 +4,8 @@ from typing import Any
 
 import numpy as np
 
+from sonoservo.systems.evaluation import RunLog
 from sonoservo.systems.evaluation.log import columns
-from sonoservo.systems.evaluation.run_log import RunLog
 
 
 def build_log(samples: int, volumes: int, **known: Any) -> RunLog:

@@ -8,8 +8,7 @@ from pydrake.math import RigidTransform
 from scipy.ndimage import gaussian_filter
 from scipy.special import ndtr
 
-from sonoservo.systems.signals.sweep import SweepGeometry, SweepMotion
-from sonoservo.systems.signals.volume import Volume
+from sonoservo.systems.signals import SweepGeometry, SweepMotion, Volume
 
 GEOMETRY = SweepGeometry(
     array_radius=40e-3,
@@ -122,7 +121,11 @@ def needle_as_acquired(needle, motion, X_WP):
     return a, b
 
 
-def entry_on_side(depth=45e-3, z=0.0):
-    """A position on the lateral side of the sector (towards -X)."""
-    i = depth / GEOMETRY.sample_pitch
-    return GEOMETRY.position(12 + z, 0, i, 1)
+def entry_on_side():
+    """A position on the lateral side of the sector (towards -X), 45 mm deep."""
+    return GEOMETRY.position(12, 0, 45e-3 / GEOMETRY.sample_pitch, 1)
+
+
+ENTRY = entry_on_side()
+K = np.array([1, 0.25, 0.1]) / np.linalg.norm([1, 0.25, 0.1])
+"""Where a needle enters the sector, and its direction."""

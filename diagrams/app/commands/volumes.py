@@ -4,7 +4,7 @@ import shlex
 import sys
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -149,6 +149,7 @@ def _track_stream(
     write_printed(results.json_path, summary)
     if pages:
         pages.end(console, mode_words(summary))
+    _end_stream(summary)
 
 
 def _track_file(
@@ -248,10 +249,17 @@ def bridge_command(
             reasons = summary["left_out_reasons"].items()
             left_out = "".join(f", {count} left out ({why})" for why, count in reasons)
             done = f"{summary['volumes']} volumes recorded, {summary['dropped']} dropped"
-            say(f"{done}{left_out}: {target}")
+            say(f"{done}{left_out}" + (f": {target}" if summary["recording"] else ""))
     write_printed(results.json_path, summary)
+    _end_stream(summary)
+
+
+def _end_stream(summary: dict[str, Any]) -> None:
+    """End with the exit status of a stream: interrupted, or without a single volume."""
     if summary["interrupted"]:
         raise typer.Exit(INTERRUPTED)
+    if not summary["volumes"]:
+        raise typer.Exit(1)
 
 
 def locate_command(

@@ -1,7 +1,6 @@
 """An operator's hand in the loop: what it does is recorded, and nothing it does stops the run."""
 
 import json
-import math
 import time
 from contextlib import closing
 from dataclasses import replace
@@ -141,25 +140,6 @@ def test_an_earlier_drive_into_the_same_folder_is_kept(console, tmp_path):
     drive(cheap(0.5), console, out=tmp_path)
     assert (tmp_path / "scenario_1.yaml").read_text() == "of an earlier drive"
     assert load_scenario(tmp_path / "scenario.yaml").duration == 0.5
-
-
-def test_nothing_a_page_says_stops_the_run(console):
-    flood = [click("pause")] * 2000 + [click("save")] * 2000
-    flood += [slide("depth", value) for value in (math.nan, math.inf, 1e308, "x")] * 500
-    flood += [slide("force", -math.inf), slide("x", math.nan), slide("gain", 1e9)]
-    script = [(0.5 + 1e-4 * number, act) for number, act in enumerate(flood)]
-    operator = Operator(console, script)
-
-    def go_on(simulated, text):
-        operator(simulated, text)
-        if text.startswith("paused"):  # by an odd number of looks at the flood
-            operator.controls.press("pause")
-
-    log = drive(cheap(2.0), console, show=go_on).log
-    assert log.time[-1] == pytest.approx(2.0, abs=0.05)
-    for name in ("X_WP", "X_WT", "inserted_length", "joint_state", "contact_force"):
-        assert np.isfinite(getattr(log, name)).all()
-    assert log.inserted_length.max() <= 0.1
 
 
 @pytest.mark.parametrize(("reason", "status"), [("too much force", 3), (None, 0)])

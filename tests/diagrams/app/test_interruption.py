@@ -75,8 +75,7 @@ def test_an_interruption_waits_for_the_compiler_s_callbacks():
 
 
 @pytest.mark.parametrize(
-    ("number", "how"),
-    [(signal.SIGINT, "end"), (signal.SIGTERM, "hang"), (signal.SIGHUP, "end")],
+    ("number", "how"), [(signal.SIGINT, "end"), (signal.SIGTERM, "hang"), (signal.SIGHUP, "end")]
 )
 def test_every_signal_ends_the_program_even_if_it_hangs(number, how):
     process = subprocess.Popen(

@@ -6,10 +6,10 @@ import typer
 from numba.core.event import end_event, start_event
 from rich.console import Console
 
+from sonoservo.diagrams import RunResult, load_scenario
 from sonoservo.diagrams.app.options import with_common_options
-from sonoservo.diagrams.app.run_result import RunResult, summary_table
+from sonoservo.diagrams.app.run_result import summary_table
 from sonoservo.diagrams.app.terminal import end_run, run_progress, volume_progress
-from sonoservo.diagrams.experiments.registry import load_scenario
 from sonoservo.systems.evaluation.compile_free_clock import COMPILATION
 from sonoservo.systems.evaluation.reports.verdict import following_verdict
 from sonoservo.systems.files.refusals import ConfigurationError

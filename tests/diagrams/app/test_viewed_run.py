@@ -4,8 +4,7 @@ import numpy as np
 from commands import sonoservo_here
 from rerun.chunk import RrdReader
 
-from sonoservo.systems.evaluation.log import read_log
-from sonoservo.systems.evaluation.run_log import RunLog
+from sonoservo.systems.evaluation import RunLog, read_log
 
 
 def test_a_run_and_its_recording_are_written_for_a_viewer(tmp_path):
@@ -24,5 +23,7 @@ def test_a_run_and_its_recording_are_written_for_a_viewer(tmp_path):
     values = np.ravel(joint.column(joint.schema.names[-1]).to_pylist())
     np.testing.assert_allclose(values, kept.joint_state[: len(values), 0])
     tracked = tmp_path / "track.mcap"
-    sonoservo_here("track", str(recording), "--out", str(out), "--log", str(tracked))
+    command = ["track", str(recording), "--start", "anywhere", "--show", "--out", str(out)]
+    done = sonoservo_here(*command, "--log", str(tracked))
+    assert "Watch at http://localhost:" in done.stdout, done.stderr
     assert tracked.stat().st_size > 1000

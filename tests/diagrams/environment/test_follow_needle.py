@@ -1,7 +1,6 @@
 """The environment: Gymnasium's own check, repetition bit for bit, ends, and vectors."""
 
 import sys
-from collections import Counter
 from functools import partial
 
 import gymnasium
@@ -11,8 +10,9 @@ from gymnasium.utils.env_checker import check_env
 from pydrake.math import RigidTransform
 
 from sonoservo.diagrams import environment
+from sonoservo.diagrams.environment import RewardParameters
 from sonoservo.diagrams.environment.follow_needle import ENVIRONMENT
-from sonoservo.diagrams.environment.reward import ActionScale, RewardParameters, reward_terms
+from sonoservo.diagrams.environment.reward import ActionScale, reward_terms
 from sonoservo.systems.files.refusals import ConfigurationError
 
 CHANGES = (
@@ -36,21 +36,16 @@ def test_gymnasium_finds_nothing_wrong():
               skip_render_check=True)  # fmt: skip
 
 
-def episode(seed, actions):
-    env = make(randomize=1.0)
-    observation, info = env.reset(seed=seed)
-    seen = [observation, *(env.step(action)[:2] for action in actions)]
-    return info["seed"], seen
-
-
 def test_an_episode_is_repeated_bit_for_bit_from_seed_and_actions():
-    actions = np.random.default_rng(4).uniform(-1, 1, (4, 4)).astype(np.float32)
-    (drawn, first), (again, second) = episode(11, actions), episode(11, actions)
-    assert drawn == again
-    np.testing.assert_array_equal(first[0], second[0])
-    for (a, reward), (b, other) in zip(first[1:], second[1:], strict=True):
-        np.testing.assert_array_equal(a, b)
-        assert reward == other
+    actions = np.random.default_rng(4).uniform(-1, 1, (3, 4)).astype(np.float32)
+    env, seen = make(randomize=1.0), []
+    for _ in range(2):
+        observation, info = env.reset(seed=11)
+        steps = [env.step(action)[:2] for action in actions]
+        seen.append(
+            [info["seed"], *observation, *(each for pair in steps for each in (*pair[0], pair[1]))]
+        )
+    np.testing.assert_array_equal(*seen)
 
 
 def test_the_agent_moves_the_probe_and_presses_it():
@@ -79,24 +74,6 @@ def test_random_actions_end_in_no_error_and_below_the_limit_of_the_force():
             ends.add(info["end"])
             env.reset()
     assert ends <= {"lost", "stopped", "reached"}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(100, 110))
-def test_ten_thousand_random_actions_end_in_no_error(seed):
-    env, rng = make(randomize=1.0), np.random.default_rng(seed)
-    env.reset(seed=seed)
-    largest, ends, action = 0.0, Counter(), np.zeros(4, np.float32)
-    for _ in range(1000):
-        if rng.random() < 0.3:  # kept for a second: what is drawn anew each time leads nowhere
-            action = rng.choice([rng.uniform(-1, 1, 4), rng.choice([-1, 1], 4)]).astype(np.float32)
-        *_, ended, cut, info = env.step(action)
-        largest = max(largest, info["contact_force"])
-        if ended or cut:
-            ends[info.get("end") or "cut"] += 1
-            env.reset()
-    print(f"seed {seed}: {largest:.2f} N, {dict(ends)}")
-    assert largest < 10  # the guard's limit
 
 
 @pytest.mark.slow
@@ -136,6 +113,7 @@ def test_a_wrong_argument_is_refused():
 
 
 def test_without_gymnasium_a_line_says_what_to_install(monkeypatch):
+    monkeypatch.delattr(environment, "FollowNeedle", raising=False)  # once asked for, it is kept
     monkeypatch.delitem(sys.modules, "sonoservo.diagrams.environment.follow_needle")
     monkeypatch.setitem(sys.modules, "gymnasium", None)
     with pytest.raises(ConfigurationError, match=r"pip install 'sonoservo\[gym\]'"):

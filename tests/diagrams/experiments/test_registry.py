@@ -1,6 +1,5 @@
 """A new experiment is a module and a line in the registry."""
 
-import json
 import sys
 from dataclasses import dataclass
 from types import ModuleType
@@ -10,15 +9,12 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 from pydrake.systems.framework import LeafSystem
-from typer.testing import CliRunner
 
-from sonoservo.diagrams import load_scenario, run
-from sonoservo.diagrams.app.cli import app
+from sonoservo.diagrams import Experiment, Scenario, load_scenario, run
 from sonoservo.diagrams.experiments import registry
-from sonoservo.diagrams.experiments.experiment import Experiment
 from sonoservo.diagrams.experiments.presenter import Presenter
-from sonoservo.diagrams.scenario import Scenario
-from sonoservo.systems.evaluation.log import Array, Log, column, read_log
+from sonoservo.systems.evaluation import read_log
+from sonoservo.systems.evaluation.log import Array, Log, column
 
 
 @dataclass(kw_only=True)
@@ -113,17 +109,3 @@ def test_a_new_experiment_runs_as_the_others_do(path, tmp_path):
     assert load_scenario(tmp_path / "out" / "scenario.yaml") == scenario
     with pytest.raises(ValueError, match="tracker: not possible in the experiment 'ticking'"):
         run(scenario, tracker=Clock())
-
-
-def test_the_command_line_knows_it(path, tmp_path):
-    out = tmp_path / "out"
-    arguments = ["run", str(path), "--no-meshcat", "--seed", "7", "--out", str(out)]
-    result = CliRunner().invoke(app, arguments)
-    assert result.exit_code == 0, result.output
-    assert "clock, seed 7" in result.stdout
-    assert "number of ticks" in result.stdout
-    assert json.loads((out / "summary.json").read_text())["ticking"] == {"count": 4}
-    assert (out / "ticks.png").stat().st_size > 0
-    page = (out / "report.html").read_text()
-    assert ">paper<" in page
-    assert ">3.00<" in page

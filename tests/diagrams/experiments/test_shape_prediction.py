@@ -1,21 +1,11 @@
-import json
-
 import numpy as np
 import pytest
 
-from sonoservo.diagrams import load_scenario, make_experiment, run
-from sonoservo.diagrams.experiments.shape_prediction_scenario import (
-    ESTIMATORS,
-)
-from sonoservo.diagrams.shape_predictor import estimate_shape, predict_from_slices
-from sonoservo.systems.evaluation.log import read_log
-from sonoservo.systems.evaluation.shape.shape_metrics import (
-    ShapeLog,
-    cross_section_errors,
-    prediction,
-)
-from sonoservo.systems.files.refusals import ConfigurationError
-from sonoservo.systems.signals.needle_shape import NeedleShape
+from sonoservo.diagrams import estimate_shape, load_scenario, make_experiment, run
+from sonoservo.diagrams.experiments.shape_prediction_scenario import ESTIMATORS
+from sonoservo.diagrams.shape_predictor import predict_from_slices
+from sonoservo.systems.evaluation.shape.shape_metrics import cross_section_errors, prediction
+from sonoservo.systems.signals import NeedleShape
 
 SHORT = ["depth=0.04", "rotations=[0.025]", "observe_until=0.025", "step=1e-3"]
 # A needle that shows at every angle.
@@ -67,19 +57,6 @@ def test_every_estimator_takes_the_same_cross_sections(experiment, name):
     assert np.isfinite(shapes[-1].predict([0.04])[0]).all()
 
 
-def test_a_run_leaves_its_files(tmp_path):
-    scenario = load_scenario("carriere2016_patient", seed=104)
-    result = run(scenario, out=tmp_path)
-    assert result.summary["tracking"]["slices"] == 13
-    for name in ("summary.json", "log.npz", "shape.png", "report.html", "scenario.yaml"):
-        assert (tmp_path / name).stat().st_size > 0
-    summary = json.loads((tmp_path / "summary.json").read_text())
-    assert summary["prediction"]["observed_mm"] == pytest.approx(35.0)
-    assert read_log(tmp_path / "log.npz", ShapeLog).measured.shape == (13, 3)
-    again = load_scenario(tmp_path / "scenario.yaml")
-    assert again == scenario
-
-
 def test_a_needle_that_leaves_the_image_is_said_to_be_lost_and_the_tip_uncertain():
     changes = [
         "imaging.sector=0.1",
@@ -103,11 +80,6 @@ def test_a_needle_that_leaves_the_image_is_said_to_be_lost_and_the_tip_uncertain
     assert len(lost) >= 1
 
 
-def test_a_hand_cannot_take_the_place_of_the_feed():
-    with pytest.raises(ConfigurationError, match="hand.feed"):
-        load_scenario("carriere2016_d60", changes=["hand.feed=null"])
-
-
 def test_recorded_slices_give_what_the_live_run_gave():
     experiment = make_experiment(load_scenario("carriere2016_patient", seed=105))
     slices = []
@@ -125,11 +97,3 @@ def test_recorded_slices_give_what_the_live_run_gave():
     assert 0 < np.linalg.norm(click - truth) < 2e-3
     assert all(found)
     assert isinstance(shapes[-1], NeedleShape)
-
-
-def test_as_published_is_the_printed_tracker_with_the_printed_filter():
-    scenario = load_scenario("carriere2016_d60", as_published=True)
-    assert scenario.estimator == "published"
-    assert (scenario.tracker.position, scenario.tracker.deviations) == ("match", "both")
-    assert scenario.tracker.min_correlation == 0
-    assert scenario.observe_until == load_scenario("carriere2016_d60").observe_until

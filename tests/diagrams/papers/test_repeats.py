@@ -5,10 +5,10 @@ import time
 import pytest
 
 from sonoservo.diagrams.papers import repeats
+from sonoservo.diagrams.studies import Case, Outcome, StudyOptions
 from sonoservo.diagrams.studies.processes import Processes
 from sonoservo.diagrams.studies.records import Records
 from sonoservo.diagrams.studies.runs import run_study
-from sonoservo.diagrams.studies.study import Case, Outcome, StudyOptions
 from sonoservo.systems.files.refusals import ConfigurationError
 
 

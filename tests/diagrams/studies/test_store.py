@@ -2,8 +2,7 @@
 
 import pytest
 
-from sonoservo.diagrams.studies.store import Store, absolute
-from sonoservo.systems.files.refusals import ConfigurationError
+from sonoservo.diagrams.studies import Store
 
 
 @pytest.fixture(params=["folder", "file", "memory"])
@@ -31,11 +30,3 @@ def test_a_reader_sees_a_whole_file_or_none(tmp_path):
     with pytest.raises(TypeError):
         store.write({"whole": b"1", "broken": None})
     assert store.sizes() == {}
-
-
-def test_names_of_stores():
-    assert absolute("s3://bucket/x") == "s3://bucket/x"
-    assert absolute("x").endswith("/x")
-    assert absolute("x").startswith("/")
-    with pytest.raises(ConfigurationError, match="store: nowhere://x: Protocol not known"):
-        Store("nowhere://x")

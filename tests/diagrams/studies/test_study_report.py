@@ -10,14 +10,8 @@ from matplotlib.figure import Figure
 from rich.console import Console
 
 from sonoservo.diagrams.app.terminal import study_table
-from sonoservo.diagrams.studies.study import Case, Outcome
-from sonoservo.diagrams.studies.study_report import (
-    Study,
-    StudyFigure,
-    StudyRow,
-    can_be_judged,
-    write_study,
-)
+from sonoservo.diagrams.studies import Case, Outcome, Study, StudyFigure, StudyRow, write_study
+from sonoservo.diagrams.studies.study_report import can_be_judged
 
 
 @pytest.fixture

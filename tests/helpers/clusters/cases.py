@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sonoservo.diagrams.studies.study import WithFiles
+from sonoservo.diagrams.studies import WithFiles
 
 
 def calculate(case):

@@ -7,7 +7,8 @@ import time
 
 from distributed import Worker
 
-from sonoservo.diagrams.studies.study import Finished, Outcome
+from sonoservo.diagrams.studies import Outcome
+from sonoservo.diagrams.studies.study import Finished
 
 
 def sleep(message):

@@ -51,16 +51,3 @@ def eventually(page, check, patience=60.0):
             if time.monotonic() > end:
                 raise
         page.wait_for_timeout(100)
-
-
-def still(page):
-    """A screenshot, when the page has ceased to change."""
-
-    def check():
-        before = screenshot(page)
-        page.wait_for_timeout(250)
-        after = screenshot(page)
-        np.testing.assert_array_equal(before, after)
-        return after
-
-    return eventually(page, check)

@@ -6,19 +6,14 @@ from pydrake.common.value import Value
 from pydrake.geometry import Meshcat
 from pydrake.math import RigidTransform
 
+from sonoservo.systems.display import ShapeView
 from sonoservo.systems.display.console.readings import needle_readings
 from sonoservo.systems.display.console.shape_page import ShapePage
-from sonoservo.systems.display.shape_view import ShapeView
 from sonoservo.systems.display.world.parts import Rod
 from sonoservo.systems.display.world.shape_world import ShapeWorld
+from sonoservo.systems.signals import CrossSection, ImageSlice, Needle, NeedleShape, NotFound
 from sonoservo.systems.signals.confidence import RADIUS_95
-from sonoservo.systems.signals.cross_section import CrossSection
-from sonoservo.systems.signals.image_slice import ImageSlice
-from sonoservo.systems.signals.immutable import NotFound
-from sonoservo.systems.signals.needle import Needle
-from sonoservo.systems.signals.needle_shape import NeedleShape
-from sonoservo.systems.ultrasound.imaging import ImagingParameters, sweep_geometry
-from sonoservo.systems.ultrasound.transducer import load_transducer
+from sonoservo.systems.ultrasound import ImagingParameters, load_transducer, sweep_geometry
 
 X_WP = RigidTransform([0.1, 0.0, 0.0])
 SLICE = ImageSlice(np.full((30, 40), 90, np.uint8), [-0.003, 0.0], [2e-4, 2e-4], X_WP, 0.5)

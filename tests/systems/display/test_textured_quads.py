@@ -13,7 +13,7 @@ from sonoservo.systems.display.textured_quads import (
     gltf_textured_quads,
     text_image,
 )
-from sonoservo.systems.signals.planes import Plane
+from sonoservo.systems.signals import Plane
 
 PLANE = Plane(RigidTransform(RollPitchYaw(0.3, -0.5, 1.1), [0.1, 0.2, 0.3]), 0.06, 0.04)
 

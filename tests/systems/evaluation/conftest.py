@@ -3,7 +3,7 @@ from collections.abc import Callable
 import pytest
 from synthetic_logs import build_insertion_log, build_log
 
-from sonoservo.systems.evaluation.run_log import RunLog
+from sonoservo.systems.evaluation import RunLog
 
 
 @pytest.fixture

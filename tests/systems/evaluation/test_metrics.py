@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 from synthetic_logs import build_log
 
-from sonoservo.systems.evaluation.metrics import missing_needle, summarize
-from sonoservo.systems.signals.search_reason import ReasonCount, SearchReason
+from sonoservo.systems.evaluation import summarize
+from sonoservo.systems.evaluation.metrics import missing_needle
+from sonoservo.systems.signals import ReasonCount
 
 
 def test_the_whole_summary_is_json(insertion_log, make_log):
@@ -276,13 +277,3 @@ def test_reasons_are_counted_by_kind_the_most_frequent_first():
     assert count.words == {"nothing changes": 3, "too much changes at once": 2, "it rains": 1}
     assert "--start anywhere" in count.advice
     assert ReasonCount(["it rains"]).advice == ""
-
-
-@pytest.mark.parametrize("kind", SearchReason)
-def test_a_reason_keeps_its_kind_on_the_wire_and_in_a_log(kind):
-    reason = kind(" by 3 mm")
-    assert SearchReason.of(reason) is kind
-    stored = np.array([reason])[0]
-    assert SearchReason.of(str(stored)) is kind
-    assert "hand." not in kind.track_advice
-    assert SearchReason.of("it rains") is None

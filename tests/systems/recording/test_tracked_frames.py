@@ -11,15 +11,6 @@ def frames():
     return freehand(6, dtype=np.uint8)
 
 
-def test_frames_of_plus_come_back(tmp_path, frames):
-    read = TrackedFrames(write_plus_file(tmp_path / "f.igs.mha", frames))
-    assert len(read) == 6
-    for number, frame in enumerate(frames):
-        np.testing.assert_array_equal(read[number], frame.pixels)
-        np.testing.assert_allclose(read.X_WI[number], frame.X_WI, atol=1e-12)
-    np.testing.assert_allclose(read.times, [frame.time for frame in frames])
-
-
 def test_invalid_frames_are_left_out(tmp_path, frames):
     read = TrackedFrames(write_plus_file(tmp_path / "f.mha", frames, bad=(0, 3)))
     assert (len(read), read.skipped) == (4, 2)

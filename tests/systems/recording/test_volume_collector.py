@@ -4,8 +4,8 @@ import numpy as np
 from pydrake.common.value import Value
 from pydrake.systems.analysis import Simulator
 
-from sonoservo.systems.recording.volume_collector import VolumeCollector
-from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.recording import VolumeCollector
+from sonoservo.systems.signals import NotFound
 
 
 def test_every_new_volume_is_kept_once(make_volume):

@@ -7,8 +7,8 @@ from commands import sonoservo_here
 from synthetic_logs import build_insertion_log
 
 from sonoservo.diagrams import compare, load_scenario
+from sonoservo.systems.evaluation import summarize
 from sonoservo.systems.evaluation.log import write_log
-from sonoservo.systems.evaluation.metrics import summarize
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.writing import write_atomically, write_json
 

@@ -1,6 +1,7 @@
 """What a run keeps to explain its estimates, and the command that draws it."""
 
 import json
+from shutil import copytree
 
 import numpy as np
 import pytest
@@ -9,10 +10,11 @@ from typer.testing import CliRunner
 from sonoservo.diagrams import load_scenario, run, track_recording
 from sonoservo.diagrams.app.cli import app
 from sonoservo.diagrams.app.kept_runs.explain import explanation_table, read_explained_run
-from sonoservo.systems.evaluation.explanation.explained_volume import FOLDER, read_explanations
+from sonoservo.systems.evaluation import read_explanations
+from sonoservo.systems.evaluation.explanation.explained_volume import FOLDER
 from sonoservo.systems.evaluation.log import columns
 from sonoservo.systems.files.refusals import ConfigurationError
-from sonoservo.systems.recording.recording import Recording
+from sonoservo.systems.recording import Recording
 
 CHANGES = [
     "duration=5.8",
@@ -59,34 +61,6 @@ def test_the_volumes_around_each_change_are_kept_with_the_truth_apart(kept):
     assert any(row["occasion"] == "searching to tracking" for row in explained.rows())
 
 
-def test_the_true_needle_lies_on_its_echo(kept):
-    out, _ = kept
-    explained = read_explained_run(out)
-    (volume,) = [each for each in explained.kept if each.occasion == "searching to tracking"]
-    beam = explained.sheet(volume).axes[0]
-    (truth,) = [each for each in beam.lines if each.get_label() == "true needle (truth)"]
-    picture = beam.images[0]
-    left, right, bottom, top = picture.get_extent()
-    x, y = np.array(truth.get_data())
-    rows, columns_ = picture.get_array().shape
-    j = ((x - left) / (right - left) * columns_).astype(int)
-    i = ((y - top) / (bottom - top) * rows).astype(int)
-    inside = (j >= 0) & (j < columns_)
-    grey = np.asarray(picture.get_array(), float)
-    on_it = np.array(
-        [grey[a - 2 : a + 3, b].max() for a, b in zip(i[inside], j[inside], strict=True)]
-    )
-    seen = on_it > 0
-    assert np.median(on_it[seen]) > np.median(grey[grey > 0]) + 40
-
-
-def test_what_an_earlier_run_kept_is_removed(tmp_path):
-    (tmp_path / FOLDER).mkdir()
-    (tmp_path / FOLDER / "0001.000s.npz").write_bytes(b"of an earlier run")
-    run("chatelain2013_fig4", changes=["duration=0.4"], out=tmp_path)
-    assert not (tmp_path / FOLDER).exists()
-
-
 def test_a_recording_is_explained_as_the_run_was(kept, tmp_path):
     out, _ = kept
     track_recording(Recording(out / "a.seq.nrrd"), out=tmp_path, explain=True)
@@ -125,8 +99,7 @@ def test_the_command_lists_and_draws(kept, tmp_path):
         ("nowhere", [], "there is no folder .*nowhere; make it: sonoservo run .* --explain"),
         ("plain", [], "plain has no explanations; repeat the run with --explain"),
         ("quiet", [], "nothing happened that was to be explained"),
-        ("out", ["--time", "100"], r"time: 100 s is outside; .* from \d+\.\d+ to \d+\.\d+ s"),
-        ("out", ["--time", "nan"], "time: nan s is outside"),
+        ("out", ["--time", "nan"], r"time: nan s is outside; .* from \d+\.\d+ to \d+\.\d+ s"),
     ],
 )
 def test_a_mistake_is_one_line_that_says_what_to_do(kept, tmp_path, name, arguments, message):
@@ -139,16 +112,8 @@ def test_a_mistake_is_one_line_that_says_what_to_do(kept, tmp_path, name, argume
     assert len(str(error.value).splitlines()) == 1
 
 
-def test_without_a_folder_nothing_can_be_explained():
-    with pytest.raises(ConfigurationError, match="explain: there is no folder"):
-        run(load_scenario("chatelain2013_fig4"), explain=True)
-
-
 def test_without_the_log_the_truth_is_not_known(kept, tmp_path):
-    out, _ = kept
-    (tmp_path / FOLDER).mkdir()
-    for path in (out / FOLDER).iterdir():
-        (tmp_path / FOLDER / path.name).write_bytes(path.read_bytes())
+    copytree(kept[0] / FOLDER, tmp_path / FOLDER)
     explained = read_explained_run(tmp_path)
     assert np.isnan([row["tip_error_mm"] for row in explained.rows()]).all()
     assert "truth" not in str(

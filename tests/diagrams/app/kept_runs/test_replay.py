@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from commands import sonoservo_here
 from synthetic_logs import build_insertion_log
-from synthetic_volumes import Scene, entry_on_side
+from synthetic_volumes import ENTRY, Scene
 
 from sonoservo.diagrams import load_scenario
 from sonoservo.diagrams.app.kept_runs.replay import log_samples, read_replay
@@ -16,21 +16,15 @@ from sonoservo.systems.control.controller_schedule import (
     ControllerSchedule,
     ControllerSettings,
 )
-from sonoservo.systems.display.console.console import Console, picture_volume
+from sonoservo.systems.display import Console
+from sonoservo.systems.display.console.console import picture_volume
+from sonoservo.systems.evaluation import RunLog, picture_planes, read_pictures, summarize
 from sonoservo.systems.evaluation.log import columns, write_log
-from sonoservo.systems.evaluation.metrics import summarize
-from sonoservo.systems.evaluation.reports.track_plots import (
-    picture_planes,
-    read_pictures,
-    write_pictures,
-)
-from sonoservo.systems.evaluation.run_log import RunLog
+from sonoservo.systems.evaluation.reports.track_plots import write_pictures
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.writing import write_atomically, write_json
-from sonoservo.systems.signals.needle_curve import NeedleCurve
-from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
+from sonoservo.systems.signals import NeedleCurve, NeedleEstimate, TrackingMode
 
-ENTRY = entry_on_side()
 TIP = ENTRY + np.array([0.045, 0.010, 0.004])
 
 
@@ -82,13 +76,8 @@ def test_pictures_are_read_as_they_were_written(pictures, tmp_path):
     ("name", "value"),
     [
         ("format", np.array(7)),
-        ("length", np.array([1, 1, 1, 1])),
         ("length", np.array([-1, 1, 1, 1])),
-        ("planes", np.array([2, 1])),
         ("extent", np.full((4, 4), np.nan)),
-        ("X_PS", np.zeros((4, 4, 4))),
-        ("mode", np.array(["searching", "asleep"])),
-        ("time", np.array([np.nan, 1.0])),
         ("jpeg", None),
     ],
 )
@@ -187,9 +176,6 @@ def test_it_plays_pauses_steps_and_turns_back(folder):
 
 def test_at_its_end_it_waits_and_starts_again(folder):
     replay = read_replay(folder)
-    console, seen = play(replay, {}, once=True)
-    assert seen[-1] == pytest.approx(19, abs=1)
-    assert console.facts["seek"] == pytest.approx(replay.end)
     acts = {1: [("move", 19.5)], 3: [("press", "pause")], 5: [("press", "stop")]}
     console, seen = play(replay, acts)
     assert seen == pytest.approx([19.5, replay.end, 1.0, 2.0])

@@ -8,9 +8,7 @@ from urllib.request import urlopen
 
 import pytest
 from rich.console import Console
-from typer.testing import CliRunner
 
-from sonoservo.diagrams.app.cli import app
 from sonoservo.diagrams.app.options import Page
 from sonoservo.diagrams.app.pages import pages as pages_module
 from sonoservo.diagrams.app.pages.pages import has_desktop, open_pages
@@ -114,13 +112,6 @@ def test_the_page_opens_by_itself_where_there_is_a_desktop(monkeypatch, opened, 
 def test_an_address_of_another_machine_is_refused(host):
     with pytest.raises(ConfigurationError, match="host: .* address of this machine"):
         open_pages("a test", Page(host=host))
-
-
-def test_a_wrong_host_ends_the_command_before_anything_is_written(tmp_path):
-    arguments = ["run", "chatelain2013_fig5", "--host", "no such host"]
-    result = CliRunner().invoke(app, [*arguments, "--out", str(tmp_path / "out")])
-    assert isinstance(result.exception, ConfigurationError)
-    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize(("typed", "left"), [("\nnext", "next"), ("", "")])

@@ -9,9 +9,9 @@ from pydrake.math import RigidTransform
 from recordings import write_sequence_nrrd
 from still_tissue import LyingProbe
 
-from sonoservo.diagrams import MakeNeedleTracker, track_recording
-from sonoservo.diagrams.tracker_bench import Sample, TrackerBench
-from sonoservo.systems.recording.recording import Recording
+from sonoservo.diagrams import MakeNeedleTracker, TrackerBench, track_recording
+from sonoservo.diagrams.tracker_bench import Sample
+from sonoservo.systems.recording import Recording
 
 LYING = LyingProbe(delay=0.06, X_PI=RigidTransform([1e-3, 0.0, 1e-3]))
 
@@ -60,16 +60,6 @@ def test_tracking_corrects_and_reports_the_errors(recorded, short, tmp_path):
     assert summary["pose_errors"]["delay_ms"] == pytest.approx(60, abs=6)
     assert len(result.estimates) == 11
     assert "pose_errors" not in track_recording(Recording(short)).summary
-
-
-def test_a_calibrated_tracker_has_a_tracker_s_ports():
-    own, calibrated = (MakeNeedleTracker(period=1.0, correct_poses=each) for each in (False, True))
-
-    def names(system):
-        return [system.get_output_port(i).get_name() for i in range(system.num_output_ports())]
-
-    assert names(calibrated) == [*names(own), "corrected_volume", "pose_errors"]
-    assert calibrated.HasInputPort("volume")
 
 
 def test_a_place_in_the_image_stays_there_when_poses_are_corrected(recorded):

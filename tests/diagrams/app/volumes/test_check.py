@@ -13,10 +13,9 @@ from tracked_frames import freehand, write_plus_file
 from sonoservo.diagrams.app.cli import run_arguments
 from sonoservo.diagrams.app.volumes.check import check_file, check_stream
 from sonoservo.systems.evaluation.source_checks import Check, Grade
-from sonoservo.systems.live.connection.address import parse_address
+from sonoservo.systems.live import Link, parse_address
 from sonoservo.systems.live.connection.items import ImageItem, PoseItem
-from sonoservo.systems.live.connection.link import Link
-from sonoservo.systems.recording.nrrd import write_volume
+from sonoservo.systems.recording import write_volume
 
 
 def found(checked, check):
@@ -100,7 +99,7 @@ def test_other_commands_say_the_gravest_finding_in_one_line(tmp_path, capsys):
     volume = make_volume(shape=(20, 20, 20))
     one = type(volume)(volume.intensities, [0, 0, 0], [1e-3] * 3, RigidTransform(), 1.0)
     path = write_volume(tmp_path / "one.nrrd", one)
-    run_arguments(["locate", str(path)])
+    assert run_arguments(["locate", str(path)]) == 1  # no needle
     (line,) = [each for each in capsys.readouterr().out.splitlines() if "sonoservo check" in each]
     assert "spacing: 1 x 1 x 1 mm" in line
 

@@ -7,12 +7,11 @@ import pytest
 from synthetic_logs import build_insertion_log
 
 from sonoservo.diagrams.papers.zhao2012.speed_report import CLOSED_LOOP, NO_VELOCIMETER, loop_rows
+from sonoservo.diagrams.studies import Case, Outcome
 from sonoservo.diagrams.studies.following.analysis import AS_PUBLISHED, describe_run, load_case
-from sonoservo.diagrams.studies.study import Case, Outcome
-from sonoservo.systems.evaluation.metrics import summarize
+from sonoservo.systems.evaluation import summarize
 from sonoservo.systems.files.writing import to_plain
-from sonoservo.systems.ultrasound.imaging import sweep_geometry
-from sonoservo.systems.ultrasound.transducer import load_transducer
+from sonoservo.systems.ultrasound import load_transducer, sweep_geometry
 
 SPEED = "speed in the loop, all"
 PUSHES = "hand.pushes=[{duration: 2, speed: 0.005}, {duration: 8, speed: 0.005}]"

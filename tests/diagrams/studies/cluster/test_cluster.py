@@ -8,7 +8,6 @@ import os
 import shutil
 import signal
 import threading
-import time
 from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
@@ -17,12 +16,10 @@ import pytest
 from clusters.cases import calculate, count, end_process, wait_once
 from clusters.processes import DaskProcesses
 from distributed import Client
+from live_items import wait_until
 
+from sonoservo.diagrams.studies import Case, Store, open_cluster, run_cases
 from sonoservo.diagrams.studies.cluster.cluster import Cluster
-from sonoservo.diagrams.studies.cluster.opening import open_cluster
-from sonoservo.diagrams.studies.runs import run_cases
-from sonoservo.diagrams.studies.store import Store
-from sonoservo.diagrams.studies.study import Case
 from sonoservo.systems.files.refusals import ConfigurationError
 
 
@@ -66,13 +63,6 @@ def lives(process):
         return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except FileNotFoundError:
         return False
-
-
-def wait_for(condition, timeout=60):
-    deadline = time.monotonic() + timeout
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
 
 
 class Notes(list):
@@ -129,26 +119,26 @@ def test_a_case_that_takes_too_long_runs_again_and_leaves_nothing(client, tmp_pa
     cluster = Cluster(client, limit=1)
     outcomes = run_cases(wait_once, cases(1, tmp_path), tmp_path / "out", cluster=cluster)
     assert [each.result for each in outcomes] == [{"attempt": 2}]
-    wait_for(lambda: sum(lives(process) for process, _ in reported(tmp_path)) <= 1, 10)
+    wait_until(lambda: sum(lives(process) for process, _ in reported(tmp_path)) <= 1, 10)
 
 
 @pytest.mark.slow
 def test_workers_make_way_for_others_after_ten_cases(cluster, tmp_path):
     assert all(run_cases(count, cases(30, tmp_path), tmp_path / "out", cluster=cluster))
     workers = {process for process, _ in reported(tmp_path)}
-    wait_for(lambda: not all(lives(process) for process in workers))
+    wait_until(lambda: not all(lives(process) for process in workers))
 
 
 @pytest.mark.slow
 def test_ctrl_c_leaves_no_case_running(cluster, tmp_path):
     def interrupt():
-        wait_for(lambda: len(reported(tmp_path)) == 2)
+        wait_until(lambda: len(reported(tmp_path)) == 2)
         os.kill(os.getpid(), signal.SIGINT)
 
     threading.Thread(target=interrupt).start()
     with pytest.raises(KeyboardInterrupt):
         run_cases(wait_once, cases(5, tmp_path), tmp_path / "out", cluster=cluster)
-    wait_for(lambda: not any(lives(process) for process, _ in reported(tmp_path)), 20)
+    wait_until(lambda: not any(lives(process) for process, _ in reported(tmp_path)), 20)
 
 
 @pytest.mark.slow
@@ -190,7 +180,7 @@ def test_after_the_scheduler_s_death_the_rest_is_done_elsewhere(processes, clien
     (seen / "wait").touch()
 
     def kill():
-        wait_for(lambda: len(list(out.glob("*.json"))) == 1 and len(reported(seen)) == 2)
+        wait_until(lambda: len(list(out.glob("*.json"))) == 1 and len(reported(seen)) == 2)
         processes.scheduler.kill()
 
     killer = threading.Thread(target=kill)
@@ -206,4 +196,4 @@ def test_after_the_scheduler_s_death_the_rest_is_done_elsewhere(processes, clien
     assert [each.result["seed"] for each in outcomes] == [0, 1]
     assert len(list(seen.glob("0_*"))) == 1
     assert "http://127.0.0.1" in notes[0]
-    wait_for(lambda: not any(lives(process) for process, _ in reported(seen)), 10)
+    wait_until(lambda: not any(lives(process) for process, _ in reported(seen)), 10)

@@ -7,9 +7,8 @@ import pytest
 from clusters.cases import calculate
 from clusters.processes import HELPERS
 
-from sonoservo.diagrams.studies.cluster.opening import open_cluster, read_job_queue
-from sonoservo.diagrams.studies.runs import run_cases
-from sonoservo.diagrams.studies.study import Case
+from sonoservo.diagrams.studies import Case, open_cluster, run_cases
+from sonoservo.diagrams.studies.cluster.opening import read_job_queue
 from sonoservo.systems.files.refusals import ConfigurationError
 
 SLURM = """
@@ -28,10 +27,8 @@ arguments:
     ("text", "message"),
     [
         ("local:0", "local:0: '0' is not allowed; it must be a number from 1 to 1024"),
-        ("local:many", "'many' is not allowed"),
         ("here", "'here' is not allowed; it must be tcp://HOST:PORT, local:N or FILE.yaml"),
         ("missing.yaml", "missing.yaml: cannot be read"),
-        ("tcp:/host", "must be tcp://HOST:PORT"),
     ],
 )
 def test_a_wrong_text_is_refused(text, message):
@@ -73,16 +70,11 @@ def test_a_job_queue_is_read(tmp_path):
     ("line", "message"),
     [
         ("class: SlurmCluster", "class: 'SlurmCluster' is not allowed; "),
-        ("class: [1]", r"class: \[1\] is not allowed; known: .*PBSCluster"),
         ("jobs: 0", "jobs: 0 is not allowed; expected 1 or more"),
-        ("jobs: many", "jobs: 'many' is not allowed"),
         ("workers: 3", "workers: unknown field; known: arguments, class, jobs"),
-        ("arguments: 3", "arguments: 3 is not allowed; expected a mapping"),
         ("arguments: {core: 3}", "arguments.core: unknown argument of SLURMCluster; did you mean"),
         ("arguments: {cores: two}", "arguments.cores: 'two' is not allowed; expected a whole"),
-        ("arguments: {cores: 0}", "arguments.cores: 0 is not allowed"),
         ("arguments: {memory: 4}", "arguments.memory: 4 is not allowed; expected text"),
-        ("arguments: {walltime: 120}", "arguments.walltime: 120 is not allowed"),
         ("arguments: {job_extra_directives: -x}", "expected a list of lines of text"),
     ],
 )

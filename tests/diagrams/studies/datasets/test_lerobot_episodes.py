@@ -8,8 +8,7 @@ import pyarrow.parquet as pq
 import pytest
 from PIL import Image
 
-from sonoservo.diagrams.experiments.following import FollowingExperiment
-from sonoservo.diagrams.experiments.registry import load_scenario
+from sonoservo.diagrams import FollowingExperiment, load_scenario
 from sonoservo.diagrams.studies.datasets.lerobot_episodes import episode_frames, make_episodes
 
 CHANGES = ["duration=1.3", "scan_conversion.spacing=[2e-3, 2e-3, 2e-3]", "tracker=zhao2012"]

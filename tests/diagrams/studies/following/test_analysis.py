@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from synthetic_logs import build_insertion_log
 
-from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
+from sonoservo.diagrams import FollowingScenario
 from sonoservo.diagrams.studies.following.analysis import (
     centred,
     converged,
@@ -18,8 +18,8 @@ from sonoservo.diagrams.studies.following.analysis import (
     recovery_times,
     volumes,
 )
-from sonoservo.systems.needle.insertion_parameters import InsertionParameters, Push
-from sonoservo.systems.robot.phantom_motion import Move, PhantomMotionParameters
+from sonoservo.systems.needle import InsertionParameters, Push
+from sonoservo.systems.robot import Move, PhantomMotionParameters
 
 
 @pytest.fixture

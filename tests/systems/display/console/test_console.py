@@ -2,20 +2,19 @@
 
 import gc
 import json
-import re
 import subprocess
 import sys
 import threading
 import time
 from contextlib import closing
-from urllib.request import urlopen
 
 import numpy as np
 import pytest
+from live_items import wait_until
 from page_clients.console_socket import open_console, pull_console
 
+from sonoservo.systems.display import Console
 from sonoservo.systems.display.console import console as console_module
-from sonoservo.systems.display.console.console import Console
 from sonoservo.systems.display.console.controls import controller_controls
 from sonoservo.systems.display.console.readings import Sample
 
@@ -36,13 +35,6 @@ def console():
 
 def on_the_site(console, function=lambda: None):
     return console._site.ask(function)
-
-
-def wait_for(condition):
-    end = time.monotonic() + 60
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.01)
 
 
 class Page:
@@ -109,16 +101,6 @@ class Page:
         self._session.force_roundtrip()
 
 
-def test_the_page_asks_for_nothing_of_another_machine(console):
-    text = urlopen(console.web_url).read().decode()
-    sources = re.findall(r'(?:src|href)="([^"]*)"', text)
-    assert all(each.startswith(("/console/static/js/bokeh.min.js", "data:")) for each in sources)
-    assert "http" not in re.sub(r"http://www.w3.org/\d+/svg", "", " ".join(sources))
-    script = urlopen(f"http://localhost:{console._site.port}{sources[-1]}").read()
-    assert b"Bokeh" in script
-    assert f'src="{console.web_url}"' in console._repr_html_()
-
-
 def test_nothing_is_drawn_for_nobody_and_no_garbage_is_collected_meanwhile(
     console, make_volume, monkeypatch
 ):
@@ -132,23 +114,23 @@ def test_nothing_is_drawn_for_nobody_and_no_garbage_is_collected_meanwhile(
     assert drawn == []
     with open_console(console.web_url):
         console.show(make_volume(zeros, time=6))
-        wait_for(lambda: drawn)
+        wait_until(lambda: drawn)
     assert drawn[-1] is False
-    wait_for(gc.isenabled)
+    wait_until(gc.isenabled)
 
 
 def test_a_page_is_sent_the_newest_once_it_has_drawn_the_last(console, make_volume):
     with Page(console, draws=False) as page:
         page.has_drawn(page.state["number"])
         console.show_volume(make_volume(ramp, time=1.0))
-        wait_for(lambda: page.state.get("volume") == 1)
+        wait_until(lambda: page.state.get("volume") == 1)
         shown = page.state["number"]
         for k in range(2, 9):
             console.show_volume(make_volume(ramp, time=k))
         time.sleep(0.3)
         assert page.state["number"] == shown  # it has not said that it has drawn it
         page.has_drawn(shown)
-        wait_for(lambda: page.state.get("volume") == 8)
+        wait_until(lambda: page.state.get("volume") == 8)
         assert page.state["number"] == shown + 1
 
 
@@ -165,27 +147,12 @@ def test_a_late_page_gets_all_of_it(console, make_volume):
         assert image.dtype == np.uint8
         assert image.max() > 100
         console.add(Sample(time=9 / 8, mode="tracking", x=9.0))
-        wait_for(lambda: page.reading("x") == "9.0")
+        wait_until(lambda: page.reading("x") == "9.0")
         assert page.strips["x"] == list(range(10))
         console.add(Sample(time=0.0, mode="lost", x=-1.0))  # a new run
-        wait_for(lambda: page.reading("x") == "−1.0")
+        wait_until(lambda: page.reading("x") == "−1.0")
         assert page.strips["x"] == [-1.0]
         assert page.strips["begin"] == [-0.5]
-
-
-def test_a_page_that_has_drawn_nothing_yet_is_sent_all_of_it_again(
-    console, make_volume, monkeypatch
-):
-    monkeypatch.setattr(console_module, "_PATIENCE", 0.3)
-    console.show(make_volume(ramp), force=2.0)
-    with Page(console, draws=False) as page:
-        page.strips, page.pictures = {}, []  # it was not there yet
-        time.sleep(0.3)
-        console.add(Sample(time=7.0, mode="tracking", x=np.nan, error=np.inf))
-        wait_for(lambda: len(page.strips.get("time", [])) == 2)
-        assert page.strips["force"] == [2.0, None]
-        assert page.strips["error"] == page.strips["x"] == [None, None]
-        assert [each.dtype for each in page.pictures] == [np.uint8, np.uint8]
 
 
 def test_pages_share_the_controls(console):
@@ -193,7 +160,7 @@ def test_pages_share_the_controls(console):
     console.controls.offer_buttons("pause", "stop", speed=1.0)
     with Page(console) as first, Page(console) as second:
         first.say(set="gain", value=0.7)
-        wait_for(lambda: second.state["values"]["gain"] == 0.7)
+        wait_until(lambda: second.state["values"]["gain"] == 0.7)
         second.say(press="stop")
         second.say(speed=0.25)
         assert console.controls.pressed() == {"stop"}
@@ -207,17 +174,12 @@ def test_what_a_page_says_amiss_is_ignored(console, make_volume):
     with Page(console) as page:
         for order in (
             {"press": 7},
-            {"press": "launch"},
             {"set": ["gain"], "value": 1},
             {"set": "gain", "value": "all"},
-            {"offsets": "far"},
-            {"offsets": [1]},
             {"offsets": [None, {}]},
             {"offsets": [1e300, -1e300]},
-            {"cine": "then"},
             {"cine": True},
             {"axes": {"x": 1}},
-            {"speed": [1]},
             {},
         ):
             page.say(**order)
@@ -225,23 +187,23 @@ def test_what_a_page_says_amiss_is_ignored(console, make_volume):
             page.say_raw(tags)
         assert console.controls.shown[1] == {"gain": 1.6, "force": 2.0}
         assert console.controls.pressed() == set()
-        wait_for(lambda: page.state["offsets"] == [200.0, -200.0])
+        wait_until(lambda: page.state["offsets"] == [200.0, -200.0])
 
 
 def test_a_page_goes_back_and_beside_alone(console, make_volume):
     with Page(console) as page, Page(console) as other:
         for k in range(1, 4):
             console.show(make_volume(ramp, time=float(k)))
-            wait_for(lambda k=k: page.state.get("volume") == k)
+            wait_until(lambda k=k: page.state.get("volume") == k)
         page.say(cine=1.2)
-        wait_for(lambda: page.state["volume"] == 1)
+        wait_until(lambda: page.state["volume"] == 1)
         assert page.state["live"] is False
         assert other.state["volume"] == 3
         page.say(cine=None, offsets=[5, 0])
-        wait_for(lambda: page.state["volume"] == 3)
+        wait_until(lambda: page.state["volume"] == 3)
         assert page.state["offsets"] == [5.0, 0.0]
         page.say(offsets=[200, 0])  # beside the volume
-        wait_for(lambda: page.pictures[0] is None)
+        wait_until(lambda: page.pictures[0] is None)
         assert page.pictures[1] is not None
 
 

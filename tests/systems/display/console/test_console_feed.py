@@ -3,15 +3,19 @@ import pytest
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import DiagramBuilder, LeafSystem, PortDataType
+from pydrake.systems.framework import PortDataType
 
-from sonoservo.systems.display.console.console_feed import ConsoleFeed
-from sonoservo.systems.signals.guard_status import GuardState, GuardStatus
-from sonoservo.systems.signals.immutable import NotFound
-from sonoservo.systems.signals.line_hypotheses import LineHypotheses
-from sonoservo.systems.signals.needle import Needle
-from sonoservo.systems.signals.needle_curve import NeedleCurve
-from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
+from sonoservo.systems.display import ConsoleFeed
+from sonoservo.systems.signals import (
+    GuardState,
+    GuardStatus,
+    LineHypotheses,
+    Needle,
+    NeedleCurve,
+    NeedleEstimate,
+    NotFound,
+    TrackingMode,
+)
 
 SEARCHING = NeedleEstimate(TrackingMode.SEARCHING, 0.0)
 
@@ -44,7 +48,7 @@ def publish(leaf, context=None, **values):
     leaf.ForcedPublish(context)
 
 
-def test_each_volume_is_shown_once_and_counted(make_volume):
+def test_each_volume_of_a_run_is_shown_once_and_counted(make_volume):
     shown = Shown()
     leaf = ConsoleFeed(console=shown, period=0.3)
     publish(leaf, volume=NotFound("no sweep is complete yet"), estimate=SEARCHING)
@@ -53,8 +57,13 @@ def test_each_volume_is_shown_once_and_counted(make_volume):
     for volume in (first, first, second):
         publish(leaf, volume=volume, estimate=SEARCHING)
     assert shown == [(first, SEARCHING, 1, None), (second, SEARCHING, 2, None)]
-    publish(leaf, volume=make_volume(zeros, time=1.1))  # no tracker is needed
+    context = leaf.CreateDefaultContext()
+    publish(leaf, context, volume=make_volume(zeros, time=1.1))  # no tracker is needed
     assert shown[2][1:] == (None, 3, None)
+    samples = len(shown.samples)
+    Simulator(leaf, context).AdvanceTo(0.9)  # a new run
+    assert shown[3][2] == 1
+    assert len(shown.samples) == samples + 8  # eight a second
 
 
 def test_a_sample_holds_what_instruments_truth_and_guard_say(make_volume):
@@ -102,34 +111,3 @@ def test_a_searching_tracker_tells_of_its_lines(make_volume):
     assert sample.lines == {"needle": 1, "resting": 1}  # the third is but speckle
     publish(feed, volume=make_volume(zeros), estimate=SEARCHING, lines=NotFound("tracked"))
     assert np.isnan(shown.samples[1].probability)
-
-
-class Scanner(LeafSystem):
-    """A new volume every 0.25 s."""
-
-    def __init__(self, make_volume):
-        super().__init__()
-        self._make = make_volume
-        self.DeclareStateOutputPort(
-            "volume", self.DeclareAbstractState(Value[object](NotFound("none")))
-        )
-        self.DeclarePeriodicUnrestrictedUpdateEvent(0.25, 0.25, self._update)
-
-    def _update(self, context, state):
-        volume = self._make(zeros, time=context.get_time())
-        state.get_mutable_abstract_state(0).set_value(volume)
-
-
-def test_in_a_diagram_every_volume_of_each_run_is_shown(make_volume):
-    shown = Shown()
-    builder = DiagramBuilder()
-    source = builder.AddSystem(Scanner(make_volume))
-    leaf = builder.AddSystem(ConsoleFeed(console=shown, period=0.25, offset=0.26))
-    builder.Connect(source.GetOutputPort("volume"), leaf.GetInputPort("volume"))
-    simulator = Simulator(builder.Build())
-    simulator.AdvanceTo(1.3)
-    assert [volume.time for volume, *_ in shown] == [0.25, 0.5, 0.75, 1.0, 1.25]
-    simulator.reset_context(simulator.get_system().CreateDefaultContext())
-    simulator.AdvanceTo(0.6)
-    assert [number for _, _, number, _ in shown] == [1, 2, 3, 4, 5, 1, 2]
-    assert len(shown.samples) == 11 + 5  # eight a second

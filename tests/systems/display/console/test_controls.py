@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 from pydrake.systems.analysis import Simulator
 
+from sonoservo.systems.display import OperatorPanel
 from sonoservo.systems.display.console.controls import (
     Controls,
-    OperatorPanel,
     controller_controls,
-    deflection,
     operator_controls,
 )
 
@@ -101,10 +100,3 @@ def test_pages_are_told_what_moves_and_presses_count_once():
         controls.press(button)
     assert controls.pressed() == {"pause"}
     assert controls.pressed() == set()
-
-
-def test_sticks_have_a_dead_zone_and_whole_numbers_of_none():
-    sticks = {0.1: 0, -0.1: 0, 1.0: 1, -1.0: -1, 5.0: 1, math.nan: 0, math.inf: 0, 10**400: 0}
-    for axis, wanted in sticks.items():
-        assert deflection(axis) == wanted
-    assert deflection(0.575) == pytest.approx(0.5)

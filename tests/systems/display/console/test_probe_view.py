@@ -2,11 +2,9 @@ import numpy as np
 import pytest
 from packed_scene import boxes, transform, visible
 
+from sonoservo.systems.display import Site
 from sonoservo.systems.display.console.probe_view import ProbeView
-from sonoservo.systems.display.pages.site import Site
-from sonoservo.systems.signals.needle_curve import NeedleCurve
-from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
-from sonoservo.systems.signals.planes import slice_planes
+from sonoservo.systems.signals import NeedleCurve, NeedleEstimate, TrackingMode, slice_planes
 
 ENTRY, TIP = np.array([-0.03, 0.03, -0.02]), np.array([0.01, 0.05, 0.01])
 

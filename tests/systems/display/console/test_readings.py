@@ -14,8 +14,7 @@ from sonoservo.systems.display.console.readings import (
     sample_estimate,
     tip_error,
 )
-from sonoservo.systems.signals.needle_curve import NeedleCurve
-from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
+from sonoservo.systems.signals import NeedleCurve, NeedleEstimate, TrackingMode
 
 X_WP = RigidTransform([0.4, 0.1, 0.3])
 

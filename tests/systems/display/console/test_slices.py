@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from sonoservo.systems.display.console.slices import beside, slice_pictures, slice_views
-from sonoservo.systems.signals.line_hypotheses import LineHypotheses
-from sonoservo.systems.signals.needle_curve import NeedleCurve
+from sonoservo.systems.display import slice_views
+from sonoservo.systems.display.console.slices import beside, slice_pictures
+from sonoservo.systems.signals import LineHypotheses, NeedleCurve
 
 ENTRY, TIP = np.array([-0.03, 0.03, -0.02]), np.array([0.01, 0.05, 0.01])
 
@@ -44,7 +44,7 @@ def test_without_a_needle_the_slices_have_the_probe_s_axes(make_volume):
 
 
 @pytest.mark.parametrize("sense", [1, -1])
-@pytest.mark.parametrize("angle", [0, 40, -40, 80])
+@pytest.mark.parametrize("angle", [0, -40, 80])
 def test_a_level_needle_is_at_its_own_coordinates(make_volume, sense, angle):
     turned = np.deg2rad(angle)
     along = np.array([np.cos(turned), 0.0, np.sin(turned)])
@@ -55,19 +55,6 @@ def test_a_level_needle_is_at_its_own_coordinates(make_volume, sense, angle):
     np.testing.assert_allclose(level.coordinates(tip), [0.01, 0.007], atol=1e-9)
     for view in (beam, level):  # whichever way the needle goes, X of the probe is on the right
         assert view.plane.X_PS.rotation().matrix()[0, 0] > 0
-
-
-@pytest.mark.parametrize("entry", [[-0.05, 0.03, 0.0], [-0.02, 0.01, 0.03], [0.0, 0.0, 0.0]])
-def test_windows_of_one_size_hold_the_slices(make_volume, entry):
-    volume = make_volume(zeros)
-    shown = [*views(volume, entry, [0.01, 0.06, -0.01]), *slice_views(volume)]
-    sizes = np.array([np.diff(view.window, axis=0).ravel() for view in shown])
-    np.testing.assert_allclose(sizes, sizes[:1].repeat(4, axis=0))
-    for view in shown:
-        corners = np.array([[-1, -1], [1, 1]]) * [view.plane.width / 2, view.plane.height / 2]
-        at = view.coordinates(view.plane.X_PS.translation()) + corners
-        assert (at[0] >= view.window[0] - 1e-12).all()
-        assert (at[1] <= view.window[1] + 1e-12).all()
 
 
 def test_the_tip_is_where_its_echo_is(make_volume):

@@ -8,8 +8,8 @@ from page_clients.console_socket import open_console, session_token
 from page_clients.page_socket import ask, read_frame, read_until_closed, send_frame
 from page_clients.web_request import get
 
+from sonoservo.systems.display import Site
 from sonoservo.systems.display.pages.bokeh_page import open_bokeh_page
-from sonoservo.systems.display.pages.site import Site
 
 
 @pytest.fixture(scope="module")

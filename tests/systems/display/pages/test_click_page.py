@@ -11,9 +11,9 @@ from page_clients.web_request import get, post
 from PIL import Image
 from pydrake.math import RigidTransform
 
+from sonoservo.systems.display import Site
 from sonoservo.systems.display.pages.click_page import ClickPage
-from sonoservo.systems.display.pages.site import Site
-from sonoservo.systems.signals.image_slice import ImageSlice
+from sonoservo.systems.signals import ImageSlice
 
 ORIGIN, SPACING = [-0.01, 0.002], [0.4e-3, 0.2e-3]
 """Element [0, 0] of a slice of 51 x 101 elements: x from -10 to 10 mm, depth from 2 to 22 mm."""
@@ -65,10 +65,8 @@ def test_the_page_shows_the_slice_where_it_lies(page):
 @pytest.mark.parametrize(
     "body",
     [
-        "", "{", "[]", "3", '{"x": 0.0}', '{"x": "left", "y": 0.01}', '{"x": NaN, "y": 0.01}',
-        '{"x": 0.02, "y": 0.01}', '{"x": 0.0, "y": 0.0}', '{"x": 1e999, "y": 0.01}',
-        '{"x": [0.0], "y": 0.01}', '{"x": null, "y": 0.01}', '{"x": ' + 400 * "1" + ', "y": 0.01}',
-        2000 * "[",
+        "", "3", '{"x": 0.0}', '{"x": "left", "y": 0.01}', '{"x": NaN, "y": 0.01}',
+        '{"x": 0.02, "y": 0.01}', '{"x": ' + 400 * "1" + ', "y": 0.01}', 2000 * "[",
     ],
 )  # fmt: skip
 def test_anything_else_is_refused_and_the_page_still_waits(page, body):

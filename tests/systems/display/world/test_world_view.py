@@ -11,16 +11,21 @@ from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 
+from sonoservo.systems.display import WorldView
 from sonoservo.systems.display.textured_quads import encode_png, gltf_textured_quads
 from sonoservo.systems.display.world.parts import Film
-from sonoservo.systems.display.world.world_view import WorldView
 from sonoservo.systems.evaluation.reports.report import save_replay
-from sonoservo.systems.signals.guard_status import GuardState, GuardStatus
-from sonoservo.systems.signals.immutable import NotFound
-from sonoservo.systems.signals.needle import Needle
-from sonoservo.systems.signals.needle_curve import NeedleCurve
-from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
-from sonoservo.systems.signals.planes import Plane, slice_planes
+from sonoservo.systems.signals import (
+    GuardState,
+    GuardStatus,
+    Needle,
+    NeedleCurve,
+    NeedleEstimate,
+    NotFound,
+    Plane,
+    TrackingMode,
+    slice_planes,
+)
 
 X_WT = RigidTransform(RollPitchYaw(0, 0, 0.4), [0.4, 0.1, 0.25])
 NEEDLE = Needle([[0.0, 0.0, -0.04], [0.06, 0.0, -0.04]], 6e-4)

@@ -11,11 +11,11 @@ from explanations import (
     explained,
     look,
     predicted,
-    small_volume,
 )
 from pydrake.math import RigidTransform, RollPitchYaw
 from synthetic_logs import build_log
 
+from sonoservo.systems.evaluation import read_explanations
 from sonoservo.systems.evaluation.explanation.explained_volume import (
     FOLDER,
     clear_explanations,
@@ -23,16 +23,12 @@ from sonoservo.systems.evaluation.explanation.explained_volume import (
     explain_volume,
     find_occasion,
     imaged_needle,
-    read_explanations,
     write_explanation,
 )
 from sonoservo.systems.evaluation.log import columns
-from sonoservo.systems.signals.immutable import NotFound
-from sonoservo.systems.signals.localization_explanation import LocalizationExplanation
-from sonoservo.systems.signals.needle_estimate import TrackingMode
+from sonoservo.systems.signals import LocalizationExplanation, NotFound, TrackingMode
 
-TRACKING, COASTING = TrackingMode.TRACKING, TrackingMode.COASTING
-SEARCHING, LOST = TrackingMode.SEARCHING, TrackingMode.LOST
+COASTING, SEARCHING = TrackingMode.COASTING, TrackingMode.SEARCHING
 
 
 def test_all_that_was_looked_at_is_kept():
@@ -67,20 +63,6 @@ def test_all_that_was_looked_at_is_kept():
         assert abs(off) < 1e-4
         column, row = ((np.array([x, y]) / size + 0.5) * picture.shape[::-1]).astype(int)
         assert picture[row, column] > np.median(picture[picture > 0]) + 60
-
-
-def test_nothing_is_kept_of_what_was_not_looked_at():
-    nothing = NotFound("no needle has been detected")
-    after = estimate(0.5, SEARCHING)
-    kept = explain_volume(
-        small_volume(0.5), empty_look(0.5, nothing), before=None, after=after, occasion="x"
-    )
-    assert (kept.mode_before, kept.sliced, kept.motion) == ("", "none", None)
-    for name in ("predicted", "measured", "before", "after", "candidates", "profile", "region"):
-        assert len(getattr(kept, name)) == 0
-    assert np.isnan([kept.innovation, kept.gate, kept.tip, kept.contrast]).all()
-    assert kept.beam_slice.size
-    np.testing.assert_allclose(kept.to_probe(np.eye(3)), np.eye(3))
 
 
 def test_the_search_that_decided_is_the_one_that_found_the_needle_or_came_furthest():
@@ -132,11 +114,8 @@ def test_only_files_of_explanations_are_cleared(tmp_path):
     [
         (None, estimate(1.0), False, "first volume"),
         (None, estimate(1.0, SEARCHING), False, ""),
-        (estimate(0.7, SEARCHING), estimate(1.0, SEARCHING), False, ""),
         (estimate(0.7, SEARCHING), estimate(1.0, SEARCHING), True, "first detection"),
         (estimate(0.7), estimate(1.0, COASTING), False, "tracking to coasting"),
-        (estimate(0.7, COASTING), estimate(1.0, LOST), False, "coasting to lost"),
-        (estimate(0.7, LOST), estimate(1.0), False, "lost to tracking"),
         (estimate(0.7), estimate(1.0), False, ""),
         # It moves as expected, 6 mm in 0.3 s; or it was expected to.
         (estimate(0.7, speed=0.02), estimate(1.0, tip=NEEDLE[1] + [6e-3, 0, 0]), False, ""),

@@ -1,21 +1,12 @@
-import weakref
-
-import numpy as np
 from explanations import empty_look, estimate, small_volume
 from pydrake.common.value import Value
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import DiagramBuilder, LeafSystem
 
-from sonoservo.systems.evaluation.explanation.explained_volume import (
-    FOLDER,
-    ExplanationRecorder,
-    read_explanations,
-)
-from sonoservo.systems.signals.immutable import NotFound
-from sonoservo.systems.signals.needle_estimate import TrackingMode
+from sonoservo.systems.evaluation import ExplanationRecorder, read_explanations
+from sonoservo.systems.evaluation.explanation.explained_volume import FOLDER
+from sonoservo.systems.signals import NotFound, TrackingMode
 
-TRACKING, COASTING = TrackingMode.TRACKING, TrackingMode.COASTING
-SEARCHING = TrackingMode.SEARCHING
+COASTING, SEARCHING = TrackingMode.COASTING, TrackingMode.SEARCHING
 NOTHING = NotFound("nothing was looked for")
 
 
@@ -41,7 +32,7 @@ def occasions(folder):
     return [(float(each.volume_time), str(each.occasion)) for each in read_explanations(folder)]
 
 
-def test_volumes_around_a_change_of_mode_are_kept_at_once(tmp_path):
+def test_volumes_around_a_change_of_mode_are_kept_until_the_next_run_begins(tmp_path):
     bench = Bench(tmp_path, before=2, after=1)
     for time in range(5):
         bench.see(time, estimate(time, SEARCHING), detection=NotFound("nothing moved"))
@@ -64,6 +55,8 @@ def test_volumes_around_a_change_of_mode_are_kept_at_once(tmp_path):
     ]
     kept = read_explanations(tmp_path)[3]
     assert (kept.mode_before, kept.mode_after, kept.before_time) == ("tracking", "tracking", 5)
+    Simulator(bench.recorder, bench.context).Initialize()  # it looks at once
+    assert occasions(tmp_path) == [(11, "first volume")]
 
 
 def test_a_volume_counts_once_and_only_once_it_was_tracked_in(tmp_path):
@@ -75,61 +68,3 @@ def test_a_volume_counts_once_and_only_once_it_was_tracked_in(tmp_path):
     bench.see(2, estimate(2, SEARCHING), explanation=NotFound("the tracker does not explain"))
     bench.see(3, estimate(3))
     assert occasions(tmp_path) == [(1, "before"), (3, "searching to tracking")]
-
-
-def test_no_more_volumes_are_in_memory_than_may_be_written(tmp_path):
-    bench = Bench(tmp_path, before=2, after=2)
-    seen = []
-    for time in range(40):
-        volume = small_volume(time)
-        seen.append(weakref.ref(volume))
-        mode = COASTING if time % 11 == 10 else TRACKING
-        bench.see(time, estimate(time, mode), volume=volume)
-        del volume
-        assert sum(each() is not None for each in seen) <= 3
-
-
-class Loop(LeafSystem):
-    """Volumes, and a tracker that loses the needle in every fifth of them."""
-
-    def __init__(self):
-        super().__init__()
-        for port, make in (
-            ("volume", small_volume),
-            ("explanation", lambda time: empty_look(time, NOTHING)),
-            ("estimate", lambda t: estimate(t, COASTING if round(t) % 5 == 4 else TRACKING)),
-        ):
-            self.DeclareAbstractOutputPort(
-                port,
-                lambda: Value[object](),
-                lambda context, output, make=make: output.set_value(
-                    make(float(np.floor(context.get_time())))
-                ),
-            )
-
-
-def simulate(folder):
-    builder = DiagramBuilder()
-    loop = builder.AddSystem(Loop())
-    recorder = builder.AddSystem(
-        ExplanationRecorder(folder=folder, before=0, after=0, period=1.0, offset=0.5)
-    )
-    for port in ("volume", "estimate", "explanation"):
-        builder.Connect(loop.GetOutputPort(port), recorder.GetInputPort(port))
-    return Simulator(builder.Build())
-
-
-def test_each_run_begins_anew_and_removes_the_files_of_the_one_before(tmp_path):
-    simulator = simulate(tmp_path)
-    simulator.AdvanceTo(10)
-    first = occasions(tmp_path)
-    assert first == [
-        (0, "first volume"),
-        (4, "tracking to coasting"),
-        (5, "coasting to tracking"),
-        (9, "tracking to coasting"),
-    ]
-    simulator.get_mutable_context().SetTime(0.0)
-    simulator.Initialize()
-    simulator.AdvanceTo(5)
-    assert occasions(tmp_path) == first[:2]

@@ -6,10 +6,10 @@ from explanations import NEEDLE, SCENE, empty_look, estimate, explained, predict
 from matplotlib.patches import Ellipse
 from scipy.stats import chi2
 
+from sonoservo.systems.evaluation import plot_explanation
 from sonoservo.systems.evaluation.explanation.explained_volume import explain_volume
-from sonoservo.systems.evaluation.explanation.explanation_sheet import describe, plot_explanation
-from sonoservo.systems.signals.immutable import NotFound
-from sonoservo.systems.signals.needle_estimate import TrackingMode
+from sonoservo.systems.evaluation.explanation.explanation_sheet import describe
+from sonoservo.systems.signals import NotFound, TrackingMode
 
 
 def line(axes, label):
@@ -109,19 +109,6 @@ def test_profile_against_distance(found):
     assert line(profile, "tip predicted")[0, 0] == pytest.approx(tip, abs=1.5)
     assert {"unseen", "taken for the needle"} <= labels(profile)
     assert profile.get_xlabel() == "distance along the axis, mm"
-
-
-def test_distances_from_the_predictions_against_the_gate(found):
-    kept = [
-        replace(found, volume_time=time, innovation=distance, gate=5.3)
-        for time, distance in ((0.0, 1.5), (0.303, np.nan), (12.0, 3.0))
-    ]
-    _, _, _, _, gate = draw(kept[0], kept=kept)
-    near = line(gate, "measurement")
-    np.testing.assert_allclose(near, [[0, 1.5], [0.303, np.nan]])
-    np.testing.assert_allclose(line(gate, "none compared"), [[0.303, 0]])
-    assert line(gate, "gate 5.3")[0, 1] == 5.3
-    assert line(gate, "this volume")[0, 0] == 0
 
 
 def test_what_is_not_there_is_said_and_the_reason_stands_above(found, failed):

@@ -3,9 +3,9 @@ from dataclasses import replace
 import numpy as np
 from pydrake.common.value import Value
 
+from sonoservo.systems.evaluation import PictureRecorder
 from sonoservo.systems.evaluation.reports import track_plots
-from sonoservo.systems.evaluation.reports.track_plots import PictureRecorder
-from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
+from sonoservo.systems.signals import NeedleEstimate, TrackingMode
 
 
 def test_a_long_run_keeps_fewer_pictures_of_its_beginning(make_volume, monkeypatch):

@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sonoservo.systems.evaluation.metrics import summarize
+from sonoservo.systems.evaluation import summarize
 from sonoservo.systems.evaluation.reports.key_frames import (
     key_volumes,
     plot_key_frames,

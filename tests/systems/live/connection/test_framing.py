@@ -13,23 +13,16 @@ from sonoservo.systems.live.connection.framing import (
     MessageError,
     crc64,
     pack_frame,
-    parse_header,
 )
 from sonoservo.systems.live.connection.items import PoseItem, TextItem
 from sonoservo.systems.live.connection.open_igt_link import encode, make_framer
 
 
-@pytest.mark.parametrize("size", [0, 1, 7, 8, 9, 64, 1001])
+@pytest.mark.parametrize("size", [0, 7, 8, 1001])
 def test_checksum_is_that_of_pyigtl(size):
     data = np.random.default_rng(size).bytes(size)
     assert crc64(data) == CRC64(data)
     assert crc64(data[size // 3 :], crc64(data[: size // 3])) == CRC64(data)
-
-
-def test_header_holds_what_was_packed():
-    header = parse_header(pack_frame("STATUS", "Name", 1700000000.25, b"abc")[:HEADER_SIZE])
-    assert (header.version, header.type, header.device) == (1, "STATUS", "Name")
-    assert (header.time, header.size, header.crc) == (1700000000.25, 3, CRC64(b"abc"))
 
 
 @pytest.mark.parametrize(("name", "time"), [("", 0), ("n" * 21, 0), ("n", -1), ("n", 2.0**32)])
@@ -38,7 +31,7 @@ def test_what_cannot_be_sent_is_refused(name, time):
         pack_frame("STATUS", name, time, b"")
 
 
-@pytest.mark.parametrize("piece", [1, 7, 57, 58, 59, 1000])
+@pytest.mark.parametrize("piece", [1, 58, 1000])
 def test_messages_may_come_in_any_pieces(piece):
     data = b"".join(encode(TextItem("T", k, f"text {k}")) for k in range(5))
     assert [item.text for item in decode_all(data, piece)] == [f"text {k}" for k in range(5)]
@@ -70,7 +63,6 @@ def test_message_with_a_wrong_checksum_is_left_out_and_the_next_one_is_read():
     ("field", "value", "message"),
     [
         (slice(42, 50), struct.pack(">Q", 10**12), "not OpenIGTLink: .* 1000000000000 bytes"),
-        (slice(42, 50), struct.pack(">Q", 2**64 - 1), "not OpenIGTLink"),
         (slice(0, 2), struct.pack(">H", 9), "not OpenIGTLink: version 9"),
         (slice(2, 14), bytes(12), "not OpenIGTLink"),
     ],

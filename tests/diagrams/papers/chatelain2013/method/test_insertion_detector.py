@@ -2,15 +2,13 @@ import numpy as np
 import pytest
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform
-from synthetic_volumes import Scene, entry_on_side
+from synthetic_volumes import ENTRY, Scene
 
 from sonoservo.diagrams.papers.chatelain2013.method.detection import PublishedDetectionParameters
 from sonoservo.diagrams.papers.chatelain2013.method.insertion_detector import InsertionDetector
-from sonoservo.systems.signals.immutable import NotFound
-from sonoservo.systems.signals.volume import Volume
-from sonoservo.systems.tracking.volume_memory import VolumeMemory
+from sonoservo.systems.signals import NotFound, Volume
+from sonoservo.systems.tracking import VolumeMemory
 
-ENTRY = entry_on_side()
 INWARD = np.array([1, 0.2, 0.1]) / np.linalg.norm([1, 0.2, 0.1])
 SCENE = Scene(seed=1, spacing=1.0e-3, balls=[([0.01, 0.06, 0.005], 2e-3)])
 

@@ -4,11 +4,13 @@ import numpy as np
 from pydrake.math import RigidTransform
 
 from sonoservo.diagrams.papers.chatelain2013.method.lifecycle import PublishedLifecycle
-from sonoservo.systems.signals.immutable import NotFound
-from sonoservo.systems.signals.insertion_detection import InsertionDetection
-from sonoservo.systems.signals.needle_curve import NeedleCurve
-from sonoservo.systems.signals.needle_estimate import TrackingMode
-from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
+from sonoservo.systems.signals import (
+    InsertionDetection,
+    NeedleCurve,
+    NeedleMeasurement,
+    NotFound,
+    TrackingMode,
+)
 from sonoservo.systems.tracking.control_point_filter import ControlPointFilter
 from sonoservo.systems.tracking.track import Track
 

@@ -2,7 +2,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from synthetic_volumes import Scene, entry_on_side
+from synthetic_volumes import ENTRY, K, Scene
 
 from sonoservo.diagrams.papers.chatelain2013.method.localization import (
     PublishedLocalizationParameters,
@@ -11,14 +11,10 @@ from sonoservo.diagrams.papers.chatelain2013.method.localization import (
     principal_axis,
     relative_sagitta,
 )
-from sonoservo.systems.signals.immutable import NotFound
-from sonoservo.systems.signals.needle_curve import NeedleCurve
-from sonoservo.systems.signals.needle_prediction import NeedlePrediction
+from sonoservo.systems.signals import NeedleCurve, NeedlePrediction, NotFound
 from sonoservo.systems.tracking.axis import axis_through
 
 SCENE = Scene(seed=5, spacing=1.0e-3, balls=[([0.01, 0.06, 0.03], 2e-3)])
-ENTRY = entry_on_side()
-K = np.array([1, 0.25, 0.1]) / np.linalg.norm([1, 0.25, 0.1])
 PARAMETERS = PublishedLocalizationParameters()
 BENT = np.array([[0, 0, 0], [0.02, 0.0015, 0.0005], [0.04, 0, 0]])
 
