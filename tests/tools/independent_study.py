@@ -13,11 +13,13 @@ from independent_images import sequence_case, volume_case
 from independent_images.cases import draw_kinds
 from scipy.stats import chi2
 
-from sonoservo.diagrams.app.volumes.locate import locate_in
-from sonoservo.diagrams.needle_tracker import MakeNeedleTracker
-from sonoservo.diagrams.tracker_bench import TrackerBench
-from sonoservo.diagrams.trackers.chatelain2013 import Chatelain2013TrackerParameters
-from sonoservo.systems.signals.needle_estimate import TrackingMode
+from sonoservo.diagrams import (
+    Chatelain2013TrackerParameters,
+    MakeNeedleTracker,
+    TrackerBench,
+    locate_in,
+)
+from sonoservo.systems.signals import TrackingMode
 
 STARTS = ("search", "anywhere")
 RIGHT_DISTANCE, RIGHT_ANGLE = 3e-3, 12.0

@@ -21,7 +21,7 @@ from sonoservo.diagrams.studies.robustness.runs import scenario_of
 from sonoservo.systems.evaluation.run_errors import at_times, in_frame
 from sonoservo.systems.evaluation.run_logger import RunLogger
 from sonoservo.systems.evaluation.success import conspicuous_length
-from sonoservo.systems.recording.volume_collector import VolumeCollector
+from sonoservo.systems.recording import VolumeCollector
 from sonoservo.systems.signals.line_hypotheses import LINE_CLASSES
 from sonoservo.systems.signals.volume import acquired_from
 from sonoservo.systems.tracking import line_belief

@@ -9,7 +9,7 @@ from still_tissue import LyingProbe
 
 from sonoservo.systems.calibration import HandEyeCorrector, PoseCorrector
 from sonoservo.systems.calibration.pose_errors import PoseErrors
-from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals import NotFound
 
 LYING = LyingProbe(delay=0.06, X_PI=RigidTransform([1e-3, 0.0, 1e-3]))
 

@@ -10,15 +10,15 @@ from pydrake.math import RigidTransform, RotationMatrix
 from scipy.spatial.transform import Rotation
 from still_tissue import LyingProbe, wandering
 
+from sonoservo.systems.calibration import estimate_pose_errors
 from sonoservo.systems.calibration.pose_errors import (
     PoseCalibration,
     PoseErrors,
     TissueDisplacement,
     displacement_between,
-    estimate_pose_errors,
     pose_equations,
 )
-from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals import NotFound
 from sonoservo.systems.signals.volume import acquired_from
 
 

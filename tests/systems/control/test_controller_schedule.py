@@ -1,11 +1,10 @@
 from pydrake.systems.analysis import Simulator
 
+from sonoservo.systems.control import OperatorSettings, ScheduledSettings
 from sonoservo.systems.control.controller_schedule import (
     ControllerChange,
     ControllerSchedule,
     ControllerSettings,
-    OperatorSettings,
-    ScheduledSettings,
 )
 
 START = ControllerSettings(gain=1.6, force=2.0)

@@ -8,11 +8,8 @@ from pydrake.multibody.inverse_kinematics import (
 from pydrake.multibody.tree import JacobianWrtVariable
 from pydrake.systems.analysis import Simulator
 
-from sonoservo.diagrams.assembly import assemble_arm
-from sonoservo.systems.control.differential_kinematics import (
-    DifferentialKinematics,
-    DifferentialKinematicsParameters,
-)
+from sonoservo.diagrams import assemble_arm
+from sonoservo.systems.control import DifferentialKinematics, DifferentialKinematicsParameters
 
 STEP = 0.005
 ELBOW_UP = assemble_arm().home

@@ -6,9 +6,8 @@ from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from pydrake.multibody.math import SpatialForce
 from pydrake.systems.analysis import Simulator
 
+from sonoservo.systems.control import ForceController, ForceControllerParameters
 from sonoservo.systems.control.force_controller import (
-    ForceController,
-    ForceControllerParameters,
     ForceState,
     approach_velocity,
     next_state,

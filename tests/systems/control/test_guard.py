@@ -5,11 +5,10 @@ from pydrake.multibody.math import SpatialForce
 from pydrake.multibody.tree import JacobianWrtVariable
 from pydrake.systems.analysis import Simulator
 
-from sonoservo.diagrams.assembly import assemble_arm
-from sonoservo.systems.control.guard import Guard
-from sonoservo.systems.control.guard_parameters import GuardParameters
-from sonoservo.systems.robot.arm import load_arm
-from sonoservo.systems.signals.guard_status import GuardState
+from sonoservo.diagrams import assemble_arm
+from sonoservo.systems.control import Guard, GuardParameters
+from sonoservo.systems.robot import load_arm
+from sonoservo.systems.signals import GuardState
 
 STEP = 0.005
 ARM = assemble_arm()

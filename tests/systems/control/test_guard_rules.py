@@ -3,6 +3,7 @@ import math
 import numpy as np
 import pytest
 
+from sonoservo.systems.control import GuardParameters
 from sonoservo.systems.control.guard_decision import EMPTY, next_memory, retreat_speed
 from sonoservo.systems.control.guard_parameters import (
     BODY_SPEED,
@@ -10,7 +11,6 @@ from sonoservo.systems.control.guard_parameters import (
     LONGEST,
     PEAK,
     REACTION,
-    GuardParameters,
     time_above,
 )
 from sonoservo.systems.control.guard_rules import CAUSES, RULES, Reaction, beyond, reason, remark

@@ -5,12 +5,8 @@ from hypothesis import strategies as st
 from pydrake.math import RigidTransform, RotationMatrix
 from scipy.linalg import expm
 
-from sonoservo.systems.control.visual_features import (
-    interaction_matrix,
-    needle_features,
-    saturated,
-    servo_velocity,
-)
+from sonoservo.systems.control import needle_features
+from sonoservo.systems.control.visual_features import interaction_matrix, saturated, servo_velocity
 
 lengths = st.floats(-0.1, 0.1)
 angles = st.floats(-np.pi / 2 + 0.01, np.pi / 2 - 0.01)

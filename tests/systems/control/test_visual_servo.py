@@ -5,13 +5,9 @@ import pytest
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform, RotationMatrix
 
-from sonoservo.systems.control.visual_servo import (
-    VisualServo,
-    VisualServoParameters,
-    planar_velocity,
-)
-from sonoservo.systems.signals.needle_curve import NeedleCurve
-from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
+from sonoservo.systems.control import VisualServo, VisualServoParameters
+from sonoservo.systems.control.visual_servo import planar_velocity
+from sonoservo.systems.signals import NeedleCurve, NeedleEstimate, TrackingMode
 
 X_WP = RigidTransform(RotationMatrix.MakeXRotation(-np.pi / 2), [0.5, 0, 0.2])
 PAPER = VisualServoParameters(gain=0.8, feed_forward=False, max_speed=1, max_angular_speed_deg=200)

@@ -2,9 +2,8 @@ import numpy as np
 import pytest
 from pydrake.systems.analysis import Simulator
 
-from sonoservo.systems.needle.hand import SPEED, OperatorHand, appended
-from sonoservo.systems.needle.insertion import Insertion
-from sonoservo.systems.needle.insertion_parameters import InsertionParameters, Push
+from sonoservo.systems.needle import Insertion, InsertionParameters, OperatorHand, Push
+from sonoservo.systems.needle.hand import SPEED, appended
 
 
 def make_insertion(pushes, **changes):

@@ -5,8 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydrake.math import RigidTransform, RollPitchYaw
 
-from sonoservo.systems.needle.insertion import Insertion
-from sonoservo.systems.needle.insertion_parameters import InsertionParameters, Push
+from sonoservo.systems.needle import Insertion, InsertionParameters, Push
 from sonoservo.systems.needle.steered_path import SteeredPath
 
 

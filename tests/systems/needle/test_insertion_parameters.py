@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from bicycle_model import BicyclePath
 
-from sonoservo.systems.needle.insertion import Insertion
-from sonoservo.systems.needle.insertion_parameters import FeedParameters, InsertionParameters, Push
+from sonoservo.systems.needle import FeedParameters, Insertion, InsertionParameters, Push
 
 BEVEL = {"bend_radius": 1.6, "bend_radius_spread": 0.8, "start": 0.0}
 BEVEL |= {"bend_angle_spread_deg": 2.0, "bend_roll_spread_deg": 180.0}

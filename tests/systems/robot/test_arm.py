@@ -6,7 +6,8 @@ from pydrake.multibody.plant import MultibodyPlant
 
 from sonoservo.models import model_path
 from sonoservo.systems.files.refusals import ConfigurationError
-from sonoservo.systems.robot.arm import AddArmWithProbe, MakeArmPlant, load_arm, set_servo_gains
+from sonoservo.systems.robot import AddArmWithProbe, MakeArmPlant, load_arm
+from sonoservo.systems.robot.arm import set_servo_gains
 from sonoservo.systems.robot.directives import motors
 from sonoservo.systems.robot.probe_body import AssumedBody, ProbeBody
 

@@ -14,7 +14,7 @@ from pydrake.multibody.tree import SpatialInertia
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
-from sonoservo.systems.robot.contact_force import ContactForce
+from sonoservo.systems.robot import ContactForce
 
 MASS, LEAN = 0.3, 0.2
 

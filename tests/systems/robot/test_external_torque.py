@@ -7,9 +7,14 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import LogVectorOutput, TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
-from sonoservo.diagrams.assembly import assemble_arm
-from sonoservo.diagrams.station import MakeStation, ProbePlacement, StationParameters, start_posture
-from sonoservo.systems.robot.arm import load_arm
+from sonoservo.diagrams import (
+    MakeStation,
+    ProbePlacement,
+    StationParameters,
+    assemble_arm,
+    start_posture,
+)
+from sonoservo.systems.robot import load_arm
 
 
 @pytest.mark.parametrize(("arm", "step"), [("viper_s850", 0.01), ("lbr_iiwa_14", 0.005)])

@@ -3,13 +3,8 @@ import pytest
 from pydrake.math import RigidTransform
 from pydrake.systems.analysis import Simulator
 
-from sonoservo.systems.robot.operator_phantom_motion import OperatorPhantomMotion
-from sonoservo.systems.robot.phantom_motion import (
-    Breathing,
-    PhantomMotionParameters,
-    next_move,
-    phantom_trajectory,
-)
+from sonoservo.systems.robot import Breathing, OperatorPhantomMotion, PhantomMotionParameters
+from sonoservo.systems.robot.phantom_motion import next_move, phantom_trajectory
 
 X_WT = RigidTransform([0.5, 0.0, 0.2])
 SPEED = (0.04, 0.04, 0.015, 30.0, 30.0, 30.0)

@@ -8,17 +8,17 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.trajectories import PiecewisePolynomial
 
+from sonoservo.systems.robot import AddPhantom, AddProbeBody
 from sonoservo.systems.robot.contact_force import normal_force
 from sonoservo.systems.robot.phantom import (
-    AddPhantom,
     PhantomContact,
     PhantomMotion,
     load_contact,
     set_friction,
 )
 from sonoservo.systems.robot.posture import probe_pose
-from sonoservo.systems.robot.probe_body import AddProbeBody, AssumedBody, ProbeBody
-from sonoservo.systems.signals.body_surface import BodySurface
+from sonoservo.systems.robot.probe_body import AssumedBody, ProbeBody
+from sonoservo.systems.signals import BodySurface
 
 SIZE = [0.3, 0.2, 0.05]
 

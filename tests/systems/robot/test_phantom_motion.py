@@ -2,12 +2,8 @@ import numpy as np
 import pytest
 from pydrake.math import RigidTransform
 
-from sonoservo.systems.robot.phantom_motion import (
-    Breathing,
-    Move,
-    PhantomMotionParameters,
-    phantom_trajectory,
-)
+from sonoservo.systems.robot import Breathing, Move, PhantomMotionParameters
+from sonoservo.systems.robot.phantom_motion import phantom_trajectory
 
 
 def test_moves_add_up_and_start_and_end_at_rest():

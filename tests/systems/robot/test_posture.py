@@ -3,7 +3,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydrake.math import RigidTransform
 
-from sonoservo.diagrams.assembly import assemble_arm
+from sonoservo.diagrams import assemble_arm
 from sonoservo.systems.robot.posture import probe_pose, reachable, solve_posture
 
 X_WT = RigidTransform([0.5, 0, 0.2])

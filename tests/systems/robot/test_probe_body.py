@@ -3,7 +3,8 @@ import pytest
 from pydrake.geometry import Ellipsoid, SceneGraph
 from pydrake.multibody.plant import MultibodyPlant
 
-from sonoservo.systems.robot.probe_body import AddProbeBody, AssumedBody, ProbeBody, dome_semi_axes
+from sonoservo.systems.robot import AddProbeBody
+from sonoservo.systems.robot.probe_body import AssumedBody, ProbeBody, dome_semi_axes
 
 
 def test_the_dome_is_curved_like_the_face():

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from pydrake.math import RigidTransform, RotationMatrix
 
-from sonoservo.systems.robot.probe_stepper import ProbeStepper
+from sonoservo.systems.robot import ProbeStepper
 
 X_WP = RigidTransform(RotationMatrix.MakeXRotation(0.3), [0.1, 0.0, 0.2])
 

@@ -8,7 +8,7 @@ from pydrake.systems.framework import DiagramBuilder
 
 from sonoservo.models import model_path
 from sonoservo.systems.files.refusals import ConfigurationError
-from sonoservo.systems.robot.arm import AddArm, load_arm
+from sonoservo.systems.robot import AddArm, load_arm
 from sonoservo.systems.robot.stl_meshes import read_stl
 
 CORNERS = np.array([[[0, 0, 0], [0.1, 0, 0], [0, 0.2, 0]], [[0, 0, 0], [0, 0.2, 0], [0, 0, 0.3]]])

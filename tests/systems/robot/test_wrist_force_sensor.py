@@ -3,7 +3,7 @@ from pydrake.common.value import Value
 from pydrake.multibody.math import SpatialForce
 from pydrake.multibody.tree import JointIndex
 
-from sonoservo.systems.robot.wrist_force_sensor import WristForceSensor, WristSensorParameters
+from sonoservo.systems.robot import WristForceSensor, WristSensorParameters
 
 FORCES = [SpatialForce(np.full(6, 9.0)), SpatialForce(np.arange(6.0))]
 

@@ -6,9 +6,7 @@ from pydrake.math import RigidTransform
 from scipy.ndimage import map_coordinates
 
 from sonoservo.systems.sampling.interpolation import sample_grid
-from sonoservo.systems.signals.image_slice import ImageSlice
-from sonoservo.systems.signals.sweep import Sweep, SweepGeometry, SweepMotion
-from sonoservo.systems.signals.volume import Volume
+from sonoservo.systems.signals import ImageSlice, Sweep, SweepGeometry, SweepMotion, Volume
 
 RNG = np.random.default_rng(0)
 ARRAYS = [

@@ -4,8 +4,8 @@ from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from scipy.ndimage import gaussian_filter
 
+from sonoservo.systems.shape import CrossSectionLocalizer, CrossSectionParameters
 from sonoservo.systems.shape.cross_section import (
-    CrossSectionParameters,
     expected_position,
     find_again,
     find_first,
@@ -14,11 +14,13 @@ from sonoservo.systems.shape.cross_section import (
     start_at,
     variance_image,
 )
-from sonoservo.systems.shape.cross_section_localizer import CrossSectionLocalizer
-from sonoservo.systems.signals.cross_section import CrossSectionTrack
-from sonoservo.systems.signals.image_slice import ImageClick, ImageSlice
-from sonoservo.systems.signals.immutable import NotFound
-from sonoservo.systems.signals.needle_shape import NeedleShape
+from sonoservo.systems.signals import (
+    CrossSectionTrack,
+    ImageClick,
+    ImageSlice,
+    NeedleShape,
+    NotFound,
+)
 
 PARAMETERS = CrossSectionParameters()
 SPACING, ORIGIN = 0.2e-3, np.array([-0.02, 0.005])

@@ -2,10 +2,9 @@ import numpy as np
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 
-from sonoservo.systems.shape.cross_section_memory import CrossSectionMemory, remembered
-from sonoservo.systems.signals.cross_section import CrossSection, CrossSectionTrack
-from sonoservo.systems.signals.image_slice import ImageSlice
-from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.shape import CrossSectionMemory
+from sonoservo.systems.shape.cross_section_memory import remembered
+from sonoservo.systems.signals import CrossSection, CrossSectionTrack, ImageSlice, NotFound
 
 
 def image(time):

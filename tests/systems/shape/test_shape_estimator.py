@@ -6,12 +6,10 @@ from pydrake.math import RigidTransform, RotationMatrix
 from scipy.stats import chi2
 
 from sonoservo.diagrams.experiments.shape_prediction_scenario import SHAPE_FILTERS
-from sonoservo.systems.shape.shape_estimator import ShapeEstimator
-from sonoservo.systems.shape.shape_filter import ShapeEstimatorParameters, ShapePaths
-from sonoservo.systems.shape.shape_posterior import MeasurementNoise, WanderParameters
-from sonoservo.systems.signals.cross_section import CrossSection
-from sonoservo.systems.signals.immutable import NotFound
-from sonoservo.systems.signals.needle_shape import NeedleShape
+from sonoservo.systems.shape import ShapeEstimator, ShapeEstimatorParameters, WanderParameters
+from sonoservo.systems.shape.shape_filter import ShapePaths
+from sonoservo.systems.shape.shape_posterior import MeasurementNoise
+from sonoservo.systems.signals import CrossSection, NeedleShape, NotFound
 
 X_WI = RigidTransform(RotationMatrix.MakeYRotation(1.2), [0.3, -0.1, 0.2])
 SOUND = ("particle_filter", "least_squares")

@@ -2,13 +2,9 @@ import numpy as np
 import pytest
 
 from sonoservo.systems.needle.steered_path import SteeredPath, draw_wander
+from sonoservo.systems.shape import ShapeParticleFilterParameters, WanderParameters
 from sonoservo.systems.shape.shape_particle_filter import ShapeParticleFilter
-from sonoservo.systems.shape.shape_posterior import (
-    MeasurementNoise,
-    ShapeParticleFilterParameters,
-    WanderParameters,
-    combined_wander,
-)
+from sonoservo.systems.shape.shape_posterior import MeasurementNoise, combined_wander
 from sonoservo.systems.signals.bicycle_paths import deflections
 from sonoservo.systems.signals.curvature_wander import wander_modes
 from sonoservo.systems.signals.needle_shape import bicycle_paths, path_statistics

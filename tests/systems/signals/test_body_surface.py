@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sonoservo.systems.signals.body_surface import BodySurface
+from sonoservo.systems.signals import BodySurface
 
 BOX = BodySurface([0.24, 0.16, 0.08])
 LIMB = BodySurface([0.3, 0.12, 0.12], "cylinder")

@@ -7,8 +7,8 @@ import pytest
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 
-from sonoservo.systems.signals.immutable import Immutable, Shape, read_only, seal
-from sonoservo.systems.signals.needle_curve import NeedleCurve
+from sonoservo.systems.signals import Immutable, NeedleCurve
+from sonoservo.systems.signals.immutable import Shape, read_only, seal
 from sonoservo.systems.signals.requirements import Positive
 
 

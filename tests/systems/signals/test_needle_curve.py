@@ -6,9 +6,7 @@ from hypothesis.extra.numpy import arrays
 from pydrake.math import RigidTransform, RollPitchYaw
 from scipy.interpolate import KroghInterpolator
 
-from sonoservo.systems.signals.needle import Needle
-from sonoservo.systems.signals.needle_curve import NeedleCurve
-from sonoservo.systems.signals.needle_prediction import NeedlePrediction
+from sonoservo.systems.signals import Needle, NeedleCurve, NeedlePrediction
 
 points = arrays(float, st.tuples(st.integers(2, 4), st.just(3)), elements=st.floats(-0.2, 0.2))
 

@@ -3,8 +3,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from sonoservo.systems.signals.needle_curve import NeedleCurve
-from sonoservo.systems.signals.planes import Plane, sample_plane, sample_sector, slice_planes
+from sonoservo.systems.signals import NeedleCurve, Plane, sample_plane, sample_sector, slice_planes
 
 inside = st.tuples(st.floats(-0.05, 0.05), st.floats(0.005, 0.08), st.floats(-0.035, 0.035))
 anywhere = st.tuples(st.floats(-0.2, 0.2), st.floats(-0.2, 0.2), st.floats(-0.2, 0.2))

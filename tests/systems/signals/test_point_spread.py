@@ -3,8 +3,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sonoservo.systems.signals.point_spread import FWHM_PER_SIGMA, PointSpread
-from sonoservo.systems.signals.sweep import SweepGeometry, blur_covariance
+from sonoservo.systems.signals import PointSpread, SweepGeometry
+from sonoservo.systems.signals.point_spread import FWHM_PER_SIGMA
+from sonoservo.systems.signals.sweep import blur_covariance
 
 GEOMETRY = SweepGeometry(0.04, 0.027, 0.02, 0.03, 1e-3, 40, 11, 80, 0.01)
 SPREAD = PointSpread([0.0, 0.08], [1e-3, 3e-3], [5e-3, 5e-3], [0.4e-3, 0.4e-3])

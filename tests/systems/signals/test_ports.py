@@ -4,14 +4,16 @@ import pytest
 from pydrake.common.value import Value
 from pydrake.systems.framework import LeafSystem
 
-from sonoservo.systems.signals import NotFound, Sweep, Volume, evaluate
-from sonoservo.systems.signals.ports import (
+from sonoservo.systems.signals import (
     DiagramBuilder,
+    NotFound,
+    Sweep,
+    Volume,
     declare_inputs,
     declare_output,
-    declare_state_output,
-    port_types,
+    evaluate,
 )
+from sonoservo.systems.signals.ports import declare_state_output, port_types
 
 
 class Giver(LeafSystem):

@@ -6,8 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydrake.math import RigidTransform, RotationMatrix
 
-from sonoservo.systems.signals.radio_frequency_sweep import RadioFrequencySweep
-from sonoservo.systems.signals.sweep import SweepGeometry, SweepMotion
+from sonoservo.systems.signals import RadioFrequencySweep, SweepGeometry, SweepMotion
 from sonoservo.systems.ultrasound.radio_frequency import detect_envelope
 
 GEOMETRY = SweepGeometry(0.0, 0.0, 0.01, 0.013, 2.8519e-5, 15, 7, 1001, 0.01)

@@ -10,9 +10,9 @@ import pytest
 
 import sonoservo.diagrams
 import sonoservo.systems
+from sonoservo.systems.signals import Bounded
 from sonoservo.systems.signals.requirements import (
     Bound,
-    Bounded,
     Fraction,
     NotNegative,
     Point,

@@ -3,8 +3,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sonoservo.systems.signals.sweep import SweepGeometry, SweepMotion
-from sonoservo.systems.ultrasound.scan_conversion import make_grid
+from sonoservo.systems.signals import SweepGeometry, SweepMotion
+from sonoservo.systems.ultrasound import make_grid
 
 CONVEX = {
     "array_radius": 0.040, "motor_radius": 0.02725, "line_pitch": np.deg2rad(0.608768),

@@ -5,7 +5,8 @@ import pytest
 from pydrake.math import RigidTransform
 from synthetic_volumes import Scene
 
-from sonoservo.systems.signals.volume import Volume, acquired_from
+from sonoservo.systems.signals import Volume
+from sonoservo.systems.signals.volume import acquired_from
 
 
 def make(**changes):

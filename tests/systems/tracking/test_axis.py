@@ -4,8 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydrake.math import RigidTransform, RollPitchYaw
 
-from sonoservo.systems.signals.immutable import NotFound
-from sonoservo.systems.signals.needle_curve import NeedleCurve
+from sonoservo.systems.signals import NeedleCurve, NotFound
 from sonoservo.systems.tracking.axis import axis_through
 from sonoservo.systems.tracking.axis_fit import fit_axis
 

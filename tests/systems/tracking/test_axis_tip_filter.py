@@ -7,11 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sonoservo.systems.signals.needle_curve import NeedleCurve
-from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
-from sonoservo.systems.signals.velocity_measurement import VelocityMeasurement
+from sonoservo.systems.signals import NeedleCurve, NeedleMeasurement, VelocityMeasurement
+from sonoservo.systems.tracking import NeedleMotionParameters
 from sonoservo.systems.tracking.axis_tip_filter import AxisTipFilter, direction_angles
-from sonoservo.systems.tracking.needle_motion import NeedleMotionParameters
 
 MOTION = NeedleMotionParameters(insertion=1e-6, body=2e-7)
 TURNING = 1e-4

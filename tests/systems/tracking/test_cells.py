@@ -7,7 +7,7 @@ import pytest
 from pydrake.math import RigidTransform, RollPitchYaw
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from sonoservo.systems.signals.volume import Volume
+from sonoservo.systems.signals import Volume
 from sonoservo.systems.tracking.cells import Cells, cells_of, tissue_shift
 
 EDGES = np.array([1.5e-3, 1.4e-3, 1.6e-3])

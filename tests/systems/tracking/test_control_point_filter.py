@@ -6,10 +6,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
-from sonoservo.systems.signals.needle_curve import NeedleCurve
-from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
+from sonoservo.systems.signals import NeedleCurve, NeedleMeasurement
+from sonoservo.systems.tracking import NeedleMotionParameters
 from sonoservo.systems.tracking.control_point_filter import ControlPointFilter
-from sonoservo.systems.tracking.needle_motion import NeedleMotionParameters, constant_velocity
+from sonoservo.systems.tracking.needle_motion import constant_velocity
 from sonoservo.systems.tracking.track_lifecycle import innovation_distance
 
 FILTER = ControlPointFilter()

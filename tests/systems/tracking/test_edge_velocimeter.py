@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 from synthetic_volumes import Scene, entry_on_side
 
-from sonoservo.systems.tracking.edge_velocimeter import (
-    EdgeVelocimeterParameters,
-    measure_edge_velocity,
-)
+from sonoservo.systems.tracking import EdgeVelocimeterParameters
+from sonoservo.systems.tracking.edge_velocimeter import measure_edge_velocity
 
 SCENE = Scene(seed=5, spacing=1.0e-3)
 ENTRY = entry_on_side()

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from pydrake.math import RigidTransform, RollPitchYaw
 
-from sonoservo.systems.signals.needle_curve import NeedleCurve
-from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
+from sonoservo.systems.signals import NeedleCurve, NeedleMeasurement
 from sonoservo.systems.tracking.interacting_filter import InteractingFilter
 from sonoservo.systems.tracking.track_lifecycle import gate_distance, innovation_distance
 

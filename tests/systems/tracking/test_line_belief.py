@@ -10,13 +10,10 @@ from pydrake.math import RigidTransform
 from scipy.ndimage import gaussian_filter
 from synthetic_volumes import line
 
-from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals import NeedleCurve, NeedleEstimate, NotFound, TrackingMode, Volume
 from sonoservo.systems.signals.line_hypotheses import LINE_CLASSES
-from sonoservo.systems.signals.needle_curve import NeedleCurve
-from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
-from sonoservo.systems.signals.volume import Volume
+from sonoservo.systems.tracking import LineFollower
 from sonoservo.systems.tracking.line_belief import LineBelief, explain_lines, follow
-from sonoservo.systems.tracking.line_follower import LineFollower
 
 START = np.array([-0.025, 0.03, 0.02])
 K = np.array([0.92, 0.25, 0.3]) / np.linalg.norm([0.92, 0.25, 0.3])

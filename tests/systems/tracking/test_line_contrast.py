@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from pydrake.math import RigidTransform
 
-from sonoservo.systems.signals.volume import Volume
+from sonoservo.systems.signals import Volume
 from sonoservo.systems.tracking.cells import cells_of
 from sonoservo.systems.tracking.line_contrast import (
     ALL_NEW,

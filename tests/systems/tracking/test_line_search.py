@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from pydrake.math import RigidTransform
 from synthetic_volumes import Scene, entry_on_side
 
-from sonoservo.systems.signals.volume import Volume
+from sonoservo.systems.signals import Volume
 from sonoservo.systems.tracking.cells import cells_of
 from sonoservo.systems.tracking.line_search import bright_lines
 

@@ -7,12 +7,11 @@ import pytest
 from filterpy.kalman import predict, update
 from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 
-from sonoservo.systems.signals.needle_curve import NeedleCurve
-from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
-from sonoservo.systems.signals.velocity_measurement import VelocityMeasurement
+from sonoservo.systems.signals import NeedleCurve, NeedleMeasurement, VelocityMeasurement
+from sonoservo.systems.tracking import NeedleMotionParameters
 from sonoservo.systems.tracking.interacting_filter import InteractingFilter
 from sonoservo.systems.tracking.needle_filter import FILTERS
-from sonoservo.systems.tracking.needle_motion import NeedleMotionParameters, constant_velocity
+from sonoservo.systems.tracking.needle_motion import constant_velocity
 
 X = RigidTransform(RollPitchYaw(0.4, -1.1, 2.0), [0.3, -0.2, 0.1])
 K = np.array([2.0, 1.0, -1.0]) / np.sqrt(6)

@@ -8,11 +8,11 @@ from independent_images.cases import draw_kinds
 from random_scans import random_scan
 from synthetic_volumes import GEOMETRY, Scene, entry_on_side
 
-from sonoservo.systems.signals.needle_curve import NeedleCurve
+from sonoservo.systems.signals import NeedleCurve
+from sonoservo.systems.tracking import NeedleLocalizerParameters
 from sonoservo.systems.tracking import needle_line as module
 from sonoservo.systems.tracking.cells import cells_of
 from sonoservo.systems.tracking.line_fit import fitted_lines
-from sonoservo.systems.tracking.localizer_parameters import NeedleLocalizerParameters
 from sonoservo.systems.tracking.needle_line import log_odds, needle_lines, stretches_between
 from sonoservo.systems.tracking.search_region import found_again
 

@@ -4,12 +4,8 @@ import numpy as np
 from pydrake.common.value import Value
 from synthetic_volumes import Scene, entry_on_side
 
-from sonoservo.systems.signals.immutable import NotFound
-from sonoservo.systems.signals.needle_curve import NeedleCurve
-from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
-from sonoservo.systems.signals.needle_prediction import NeedlePrediction
-from sonoservo.systems.tracking.localizer_parameters import NeedleLocalizerParameters
-from sonoservo.systems.tracking.needle_localizer import NeedleLocalizer
+from sonoservo.systems.signals import NeedleCurve, NeedleMeasurement, NeedlePrediction, NotFound
+from sonoservo.systems.tracking import NeedleLocalizer, NeedleLocalizerParameters
 from sonoservo.systems.tracking.pipeline import explain_localization
 
 ENDS = entry_on_side() + np.outer([0, 0.03], [0.96, 0.24, 0.1])

@@ -5,14 +5,10 @@ import pytest
 from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from synthetic_volumes import Scene, entry_on_side
 
-from sonoservo.systems.signals.immutable import NotFound
-from sonoservo.systems.signals.needle_curve import NeedleCurve
-from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
-from sonoservo.systems.signals.needle_prediction import NeedlePrediction
+from sonoservo.systems.signals import NeedleCurve, NeedleMeasurement, NeedlePrediction, NotFound
 from sonoservo.systems.signals.volume import acquired_from
-from sonoservo.systems.tracking.localizer_parameters import NeedleLocalizerParameters
-from sonoservo.systems.tracking.pipeline import explain_localization, localize
-from sonoservo.systems.tracking.tip import TipParameters
+from sonoservo.systems.tracking import NeedleLocalizerParameters, TipParameters, localize
+from sonoservo.systems.tracking.pipeline import explain_localization
 
 SCENE = Scene(
     seed=5,

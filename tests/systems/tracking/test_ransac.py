@@ -3,8 +3,9 @@ import math
 import numpy as np
 import pytest
 
-from sonoservo.systems.signals.immutable import NotFound
-from sonoservo.systems.tracking.ransac import RansacParameters, ransac_axis
+from sonoservo.systems.signals import NotFound
+from sonoservo.systems.tracking import RansacParameters
+from sonoservo.systems.tracking.ransac import ransac_axis
 
 K = np.array([2, 1, -0.5]) / np.linalg.norm([2, 1, -0.5])
 LENGTH = 0.06

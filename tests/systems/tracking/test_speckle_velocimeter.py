@@ -8,18 +8,18 @@ import pytest
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform, RollPitchYaw
 
-from sonoservo.systems.signals.immutable import NotFound
-from sonoservo.systems.signals.needle_curve import NeedleCurve
-from sonoservo.systems.signals.needle_prediction import NeedlePrediction
-from sonoservo.systems.signals.radio_frequency_sweep import RadioFrequencySweep
-from sonoservo.systems.signals.sweep import SweepGeometry, SweepMotion
-from sonoservo.systems.signals.velocity_measurement import VelocityMeasurement
-from sonoservo.systems.signals.volume import Volume
-from sonoservo.systems.tracking.speckle_velocimeter import (
-    SpeckleVelocimeter,
-    SpeckleVelocimeterParameters,
-    measure_velocity,
+from sonoservo.systems.signals import (
+    NeedleCurve,
+    NeedlePrediction,
+    NotFound,
+    RadioFrequencySweep,
+    SweepGeometry,
+    SweepMotion,
+    VelocityMeasurement,
+    Volume,
 )
+from sonoservo.systems.tracking import SpeckleVelocimeter, SpeckleVelocimeterParameters
+from sonoservo.systems.tracking.speckle_velocimeter import measure_velocity
 
 SHAPE = (41, 35, 33)
 SPACING = np.array([0.7e-3, 0.5e-3, 0.6e-3])

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from pydrake.math import RigidTransform
 from scipy.ndimage import gaussian_filter
 
+from sonoservo.systems.signals import Volume
 from sonoservo.systems.signals.point_spread import FWHM_PER_SIGMA
-from sonoservo.systems.signals.volume import Volume
 from sonoservo.systems.tracking.speckle_width import speckle_spread
 
 SPACING = np.array([0.5e-3, 0.4e-3, 0.6e-3])

@@ -7,16 +7,11 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.special import ndtr
 from synthetic_volumes import Scene, entry_on_side
 
-from sonoservo.systems.signals.localization_explanation import AxisProfile
-from sonoservo.systems.signals.point_spread import PointSpread
+from sonoservo.systems.signals import AxisProfile, PointSpread
+from sonoservo.systems.tracking import TipParameters
 from sonoservo.systems.tracking.axis import axis_through
 from sonoservo.systems.tracking.candidates import select_candidates
-from sonoservo.systems.tracking.tip import (
-    TipParameters,
-    axis_profile,
-    find_extent,
-    most_evident_stretch,
-)
+from sonoservo.systems.tracking.tip import axis_profile, find_extent, most_evident_stretch
 
 SIGMA = 0.8e-3
 PARAMETERS = TipParameters(beam_width=SIGMA * np.sqrt(8 * np.log(2)))

@@ -6,17 +6,21 @@ import numpy as np
 import pytest
 from pydrake.math import RigidTransform
 
-from sonoservo.systems.signals.immutable import Immutable, NotFound
-from sonoservo.systems.signals.line_hypotheses import LINE_CLASSES, LineHypotheses
-from sonoservo.systems.signals.needle_curve import NeedleCurve
-from sonoservo.systems.signals.needle_estimate import TrackingMode
-from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
-from sonoservo.systems.signals.search_reason import SearchReason
-from sonoservo.systems.signals.velocity_measurement import VelocityMeasurement
+from sonoservo.systems.signals import (
+    Immutable,
+    LineHypotheses,
+    NeedleCurve,
+    NeedleMeasurement,
+    NotFound,
+    SearchReason,
+    TrackingMode,
+    VelocityMeasurement,
+)
+from sonoservo.systems.signals.line_hypotheses import LINE_CLASSES
+from sonoservo.systems.tracking import TrackParameters
 from sonoservo.systems.tracking.control_point_filter import ControlPointFilter
 from sonoservo.systems.tracking.track import Track
 from sonoservo.systems.tracking.track_lifecycle import TrackLifecycle
-from sonoservo.systems.tracking.track_parameters import TrackParameters
 
 STILL = RigidTransform()
 NO_LINES = NotFound("no lines")

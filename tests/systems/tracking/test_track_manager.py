@@ -5,18 +5,20 @@ import pytest
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 
-from sonoservo.systems.signals.immutable import NotFound
-from sonoservo.systems.signals.line_hypotheses import LineHypotheses
-from sonoservo.systems.signals.localization_explanation import LocalizationExplanation
-from sonoservo.systems.signals.needle_curve import NeedleCurve
-from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
-from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
-from sonoservo.systems.signals.volume import Volume
+from sonoservo.systems.signals import (
+    LineHypotheses,
+    LocalizationExplanation,
+    NeedleCurve,
+    NeedleEstimate,
+    NeedleMeasurement,
+    NotFound,
+    TrackingMode,
+    Volume,
+)
+from sonoservo.systems.tracking import TrackManager, TrackParameters
 from sonoservo.systems.tracking.axis_tip_filter import AxisTipFilter
 from sonoservo.systems.tracking.control_point_filter import ControlPointFilter
 from sonoservo.systems.tracking.track_lifecycle import TrackLifecycle
-from sonoservo.systems.tracking.track_manager import TrackManager
-from sonoservo.systems.tracking.track_parameters import TrackParameters
 
 R = np.diag([1, 0.2, 0.3, 0.5, 0.2, 0.4]) * 1e-6
 

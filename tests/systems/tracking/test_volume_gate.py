@@ -9,14 +9,9 @@ from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from synthetic_volumes import Scene
 
-from sonoservo.systems.signals.immutable import NotFound
-from sonoservo.systems.signals.volume import Volume, VolumeCheck
-from sonoservo.systems.tracking.volume_gate import VolumeGate
-from sonoservo.systems.tracking.volume_plausibility import (
-    VolumePlausibilityParameters,
-    implausible,
-    mirrored_axis,
-)
+from sonoservo.systems.signals import NotFound, Volume, VolumeCheck
+from sonoservo.systems.tracking import VolumeGate, VolumePlausibilityParameters
+from sonoservo.systems.tracking.volume_plausibility import implausible, mirrored_axis
 
 SCENE = Scene(seed=5, spacing=1.5e-3)
 LIMITS = VolumePlausibilityParameters()

@@ -5,9 +5,14 @@ import pytest
 from pymust_referee import middle_line
 
 from sonoservo.diagrams.papers.zhao2012.phantom import IMAGING as ZHAO
-from sonoservo.systems.ultrasound.beam import axial_width, elevation_width, lateral_width
-from sonoservo.systems.ultrasound.imaging import ImagingParameters
-from sonoservo.systems.ultrasound.transducer import Transducer, load_transducer
+from sonoservo.systems.ultrasound import (
+    ImagingParameters,
+    Transducer,
+    elevation_width,
+    lateral_width,
+    load_transducer,
+)
+from sonoservo.systems.ultrasound.beam import axial_width
 
 PROBE = Transducer()
 FOCUS_60 = ImagingParameters(focus_depth=0.060)

@@ -5,8 +5,8 @@ import pytest
 from renderers import DOWN, NOWHERE, make_renderer, shift, still
 from scipy.signal import hilbert
 
-from sonoservo.systems.ultrasound.simulation.tissue import Tissue
-from sonoservo.systems.ultrasound.transducer import load_transducer
+from sonoservo.systems.ultrasound import load_transducer
+from sonoservo.systems.ultrasound.simulation import Tissue
 
 
 @pytest.fixture(scope="module")

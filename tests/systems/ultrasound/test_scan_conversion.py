@@ -6,10 +6,14 @@ from pydrake.common.value import Value
 from pydrake.math import RigidTransform, RotationMatrix
 from scipy.ndimage import map_coordinates
 
-from sonoservo.systems.signals.immutable import NotFound
-from sonoservo.systems.signals.sweep import Sweep, SweepGeometry, SweepMotion
-from sonoservo.systems.ultrasound.scan_conversion import ScanConversion, make_grid, sector_bounds
-from sonoservo.systems.ultrasound.scan_converter import ScanConversionParameters, ScanConverter
+from sonoservo.systems.signals import NotFound, Sweep, SweepGeometry, SweepMotion
+from sonoservo.systems.ultrasound import (
+    ScanConversion,
+    ScanConversionParameters,
+    ScanConverter,
+    make_grid,
+)
+from sonoservo.systems.ultrasound.scan_conversion import sector_bounds
 
 GEOMETRY = SweepGeometry(
     0.04, 0.02725, np.deg2rad(1.2), np.deg2rad(2.9), 1e-3, lines=48, frames=13, samples=80,

@@ -5,9 +5,9 @@ import pytest
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 
-from sonoservo.systems.signals.immutable import NotFound
-from sonoservo.systems.signals.sweep import Sweep, SweepGeometry, SweepMotion
-from sonoservo.systems.ultrasound.slice_converter import SliceConversion, SliceConverter
+from sonoservo.systems.signals import NotFound, Sweep, SweepGeometry, SweepMotion
+from sonoservo.systems.ultrasound import SliceConverter
+from sonoservo.systems.ultrasound.slice_converter import SliceConversion
 
 PITCHES = np.deg2rad(0.5), np.deg2rad(0.01), 0.1e-3
 GEOMETRY = SweepGeometry(0.01, 0.01, *PITCHES, lines=101, frames=1, samples=451, frame_period=0.05)

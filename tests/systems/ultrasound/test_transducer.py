@@ -5,8 +5,12 @@ import pytest
 
 from sonoservo.diagrams.papers.zhao2012.phantom import IMAGING as ZHAO
 from sonoservo.systems.files.refusals import ConfigurationError
-from sonoservo.systems.ultrasound.imaging import ImagingParameters, sweep_geometry
-from sonoservo.systems.ultrasound.transducer import Transducer, load_transducer
+from sonoservo.systems.ultrasound import (
+    ImagingParameters,
+    Transducer,
+    load_transducer,
+    sweep_geometry,
+)
 
 
 def test_shipped_transducers_load():

@@ -25,12 +25,10 @@ from sonoservo.diagrams.studies.store import Store
 from sonoservo.systems.evaluation.log import read_log, write_log
 from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.files.refusals import ConfigurationError
-from sonoservo.systems.recording.recording import Recording
-from sonoservo.systems.recording.recording_writer import RecordingWriter
-from sonoservo.systems.recording.side_files import TRUTH, LinesWriter, read_truth, side_path
-from sonoservo.systems.signals.sweep import SweepGeometry, SweepMotion
-from sonoservo.systems.signals.volume import Volume
-from sonoservo.systems.ultrasound.simulation.tissue import load_tissue
+from sonoservo.systems.recording import Recording, RecordingWriter, read_truth
+from sonoservo.systems.recording.side_files import TRUTH, LinesWriter, side_path
+from sonoservo.systems.signals import SweepGeometry, SweepMotion, Volume
+from sonoservo.systems.ultrasound.simulation import load_tissue
 
 SHAPE = (12, 14, 10)
 PER_VOXEL = 40.0

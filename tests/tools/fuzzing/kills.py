@@ -15,10 +15,10 @@ from pathlib import Path
 from random import Random
 
 from fuzzing.engine import Outcome
-from sonoservo.diagrams.experiments.registry import load_scenario
+from sonoservo.diagrams import load_scenario
 from sonoservo.systems.evaluation.log import read_log
 from sonoservo.systems.evaluation.run_log import RunLog
-from sonoservo.systems.recording.recording import Recording
+from sonoservo.systems.recording import Recording
 
 GONE_S = 5.0
 """Time in s after which no process of the command may remain."""

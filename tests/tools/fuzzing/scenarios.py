@@ -11,13 +11,9 @@ import yaml
 
 from fuzzing.engine import Outcome, judge
 from fuzzing.mutations import NUMBERS, mutate
+from sonoservo.diagrams import list_scenarios, load_scenario, make_experiment
 from sonoservo.diagrams.app.kept_runs.kept_run import refusing
-from sonoservo.diagrams.experiments.registry import (
-    list_scenarios,
-    load_scenario,
-    make_experiment,
-    present,
-)
+from sonoservo.diagrams.experiments.registry import present
 
 _YAML = [
     *NUMBERS, "true", "null", "~", "yes", "[]", "{}", "[1]", "[1, 2, 3]", "[.nan, .inf, 1]", "abc",

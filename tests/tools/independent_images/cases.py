@@ -3,7 +3,7 @@
 import numpy as np
 from pydrake.math import RigidTransform, RollPitchYaw
 
-from sonoservo.systems.signals.volume import Volume
+from sonoservo.systems.signals import Volume
 
 from .beams import FWHM, Beams, Blur, Display, PointSpread, Raster, splat
 from .needles import Needle, Truth

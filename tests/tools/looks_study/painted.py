@@ -11,7 +11,7 @@ import numpy as np
 from pydrake.math import RigidTransform
 from scipy.ndimage import gaussian_filter
 
-from sonoservo.systems.signals.volume import Volume
+from sonoservo.systems.signals import Volume
 
 SHAPE = (88, 76, 58)
 

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import i0e
 
-from sonoservo.systems.signals.point_spread import PointSpread
-from sonoservo.systems.signals.sweep import SweepGeometry
+from sonoservo.systems.signals import PointSpread, SweepGeometry
 from tip_study.needle_end import (
     INTERVAL,
     EchoModel,

@@ -13,17 +13,19 @@ import numpy as np
 from numba import njit
 from scipy.special import ndtr
 
-from sonoservo.diagrams.experiments.following import FollowingExperiment
-from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
+from sonoservo.diagrams import (
+    FollowingExperiment,
+    FollowingScenario,
+    load_scenario,
+    require_scenario,
+)
 from sonoservo.diagrams.experiments.following_scene import observer_events
-from sonoservo.diagrams.experiments.registry import load_scenario
 from sonoservo.diagrams.papers.chatelain2013.reproduction import (
     bent_insertion,
     direction_of_insertion,
 )
-from sonoservo.diagrams.scenario import require_scenario
-from sonoservo.systems.recording.volume_collector import VolumeCollector
-from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.recording import VolumeCollector
+from sonoservo.systems.signals import NotFound
 from sonoservo.systems.tracking import tip
 from sonoservo.systems.tracking.axis import axis_through
 

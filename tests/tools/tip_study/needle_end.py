@@ -6,8 +6,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.systems.signals.point_spread import PointSpread
-from sonoservo.systems.signals.sweep import SweepGeometry, blur_covariance
+from sonoservo.systems.signals import PointSpread, SweepGeometry
+from sonoservo.systems.signals.sweep import blur_covariance
 
 Floats = NDArray[np.float64]
 

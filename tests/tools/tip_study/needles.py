@@ -8,19 +8,19 @@ import numpy as np
 from pydrake.math import RigidTransform
 from renderers import CLEAN
 
-from sonoservo.systems.signals.needle import Needle
-from sonoservo.systems.signals.sweep import Sweep, SweepMotion, blur_covariance
-from sonoservo.systems.ultrasound.beam import beam_profile, point_spread
-from sonoservo.systems.ultrasound.imaging import ImagingParameters, sweep_geometry
-from sonoservo.systems.ultrasound.scan_conversion import ScanConversion, make_grid
-from sonoservo.systems.ultrasound.simulation.needles.needle_echo import (
-    NeedleEchoParameters,
-    reverberations,
+from sonoservo.systems.signals import Needle, Sweep, SweepMotion
+from sonoservo.systems.signals.sweep import blur_covariance
+from sonoservo.systems.ultrasound import (
+    ImagingParameters,
+    ScanConversion,
+    load_transducer,
+    make_grid,
+    sweep_geometry,
 )
+from sonoservo.systems.ultrasound.beam import beam_profile, point_spread
+from sonoservo.systems.ultrasound.simulation import NeedleEchoParameters, SweepRenderer, Tissue
+from sonoservo.systems.ultrasound.simulation.needles.needle_echo import reverberations
 from sonoservo.systems.ultrasound.simulation.pulses import projection_rays
-from sonoservo.systems.ultrasound.simulation.rendering import SweepRenderer
-from sonoservo.systems.ultrasound.simulation.tissue import Tissue
-from sonoservo.systems.ultrasound.transducer import load_transducer
 from tip_study.needle_end import NeedleEnd
 
 DIPS, DEPTHS = (0, 15, 30, 45, 60), (0.03, 0.05, 0.08)

@@ -4,8 +4,7 @@ import itertools
 
 import numpy as np
 
-from sonoservo.systems.signals.needle_curve import NeedleCurve
-from sonoservo.systems.signals.needle_prediction import NeedlePrediction
+from sonoservo.systems.signals import NeedleCurve, NeedlePrediction
 from sonoservo.systems.tracking import NeedleLocalizerParameters, localize
 from tip_study.bound import tip_error_bound
 

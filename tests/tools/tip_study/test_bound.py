@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 from scipy.special import i0
 
-from sonoservo.systems.signals.point_spread import FWHM_PER_SIGMA, PointSpread
-from sonoservo.systems.signals.sweep import SweepGeometry
+from sonoservo.systems.signals import PointSpread, SweepGeometry
+from sonoservo.systems.signals.point_spread import FWHM_PER_SIGMA
 from tip_study.bound import envelope_log_likelihood, field_log_likelihood
 from tip_study.needle_end import EchoModel, EndSamples, NeedleEnd, echo_model, samples_near
 

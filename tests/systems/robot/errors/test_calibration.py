@@ -2,12 +2,9 @@ import numpy as np
 import pytest
 from pydrake.math import RigidTransform
 
-from sonoservo.diagrams.assembly import assemble_arm
-from sonoservo.systems.robot.errors.calibration import (
-    CalibrationParameters,
-    hand_eye_error,
-    joint_offsets,
-)
+from sonoservo.diagrams import assemble_arm
+from sonoservo.systems.robot import CalibrationParameters
+from sonoservo.systems.robot.errors.calibration import hand_eye_error, joint_offsets
 
 
 def test_hand_eye_error_has_its_length_and_angle_and_any_direction():

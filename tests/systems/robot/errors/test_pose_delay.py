@@ -5,7 +5,7 @@ from pydrake.math import RigidTransform
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 
-from sonoservo.systems.robot.errors.pose_delay import PoseDelay, PoseDelayParameters
+from sonoservo.systems.robot import PoseDelay, PoseDelayParameters
 
 STEP = 1 / 256
 RATE = 0.1

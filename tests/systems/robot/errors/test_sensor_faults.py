@@ -3,12 +3,8 @@ from pydrake.common.value import Value
 from pydrake.multibody.math import SpatialForce
 from pydrake.systems.analysis import Simulator
 
-from sonoservo.systems.robot.errors.sensor_faults import (
-    KINDS,
-    SensorFault,
-    SensorFaults,
-    faulty_sample,
-)
+from sonoservo.systems.robot import SensorFaults
+from sonoservo.systems.robot.errors.sensor_faults import KINDS, SensorFault, faulty_sample
 
 SAMPLE, HELD = np.arange(6.0), np.arange(6.0) + 10
 

@@ -3,11 +3,9 @@ import pytest
 from pydrake.math import RigidTransform, RotationMatrix
 from renderers import make_renderer
 
-from sonoservo.systems.signals.needle import Needle
-from sonoservo.systems.signals.sweep import SweepMotion
-from sonoservo.systems.ultrasound.scan_conversion import ScanConversion, make_grid
-from sonoservo.systems.ultrasound.simulation.acquisition import acquire_sweep
-from sonoservo.systems.ultrasound.simulation.tissue import Tissue
+from sonoservo.systems.signals import Needle, SweepMotion
+from sonoservo.systems.ultrasound import ScanConversion, make_grid
+from sonoservo.systems.ultrasound.simulation import Tissue, acquire_sweep
 
 DOWN = RigidTransform(RotationMatrix.MakeXRotation(-np.pi / 2), [0, 0, -0.004])
 NEEDLES = [Needle(np.array([[-0.05, 0, -0.03], [0.0, 0, -0.03]]), 0.635e-3)] * 5

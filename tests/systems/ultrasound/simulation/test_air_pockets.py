@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from renderers import DOWN, NOWHERE, make_renderer, shift, still
 
-from sonoservo.systems.ultrasound.imaging import ImagingParameters, sweep_geometry
-from sonoservo.systems.ultrasound.simulation.air_pockets import AirPocketParameters, AirPockets
-from sonoservo.systems.ultrasound.transducer import load_transducer
+from sonoservo.systems.ultrasound import ImagingParameters, load_transducer, sweep_geometry
+from sonoservo.systems.ultrasound.simulation import AirPocketParameters
+from sonoservo.systems.ultrasound.simulation.air_pockets import AirPockets
 
 PROBE = load_transducer("4dc7_3_40")
 IMAGING = ImagingParameters()

@@ -5,23 +5,23 @@ import pytest
 from pydrake.math import RigidTransform, RotationMatrix
 from renderers import DEEP, DOWN, NOWHERE
 
-from sonoservo.systems.signals.needle import Needle
-from sonoservo.systems.signals.sweep import SweepMotion
-from sonoservo.systems.ultrasound.imaging import ImagingParameters
-from sonoservo.systems.ultrasound.simulation.acquisition import acquire_sweep
-from sonoservo.systems.ultrasound.simulation.errors import (
+from sonoservo.systems.signals import Needle, SweepMotion
+from sonoservo.systems.ultrasound import ImagingParameters, Transducer
+from sonoservo.systems.ultrasound.simulation import (
     ClockParameters,
     ConnectionParameters,
     MotorParameters,
+    ScannerParameters,
+    SweepRenderer,
+    acquire_sweep,
+)
+from sonoservo.systems.ultrasound.simulation.errors import (
     Reception,
     motor_error,
     poses_at,
     repeat_lost_frames,
     turned,
 )
-from sonoservo.systems.ultrasound.simulation.rendering import SweepRenderer
-from sonoservo.systems.ultrasound.simulation.scanner_parameters import ScannerParameters
-from sonoservo.systems.ultrasound.transducer import Transducer
 
 
 def test_stamps():

@@ -7,12 +7,10 @@ import pytest
 from pymust_referee import middle_line
 from renderers import DEEP, DOWN, about, correlation, make_renderer, shift, still, upright
 
+from sonoservo.systems.ultrasound import ImagingParameters, Transducer
 from sonoservo.systems.ultrasound.beam import FWHM_PER_SIGMA
-from sonoservo.systems.ultrasound.imaging import ImagingParameters
-from sonoservo.systems.ultrasound.simulation import frame_renderer
+from sonoservo.systems.ultrasound.simulation import Ball, Tissue, frame_renderer
 from sonoservo.systems.ultrasound.simulation.kernels.blocks import BLOCKS, ScattererTile
-from sonoservo.systems.ultrasound.simulation.tissue import Ball, Tissue
-from sonoservo.systems.ultrasound.transducer import Transducer
 
 
 def exact_echo(renderer, p_P, direction):

@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 from renderers import CLEAN, NOWHERE, still
 
-from sonoservo.systems.ultrasound.imaging import ImagingParameters
+from sonoservo.systems.ultrasound import ImagingParameters, Transducer
+from sonoservo.systems.ultrasound.simulation import SweepRenderer, Tissue
 from sonoservo.systems.ultrasound.simulation.haze import gain_errors, speckle_field
-from sonoservo.systems.ultrasound.simulation.rendering import SweepRenderer
-from sonoservo.systems.ultrasound.simulation.tissue import Tissue
-from sonoservo.systems.ultrasound.transducer import Transducer
 
 NOTHING = Tissue(size=[0.6, 0.6, 0.4], level_db=-60.0)
 

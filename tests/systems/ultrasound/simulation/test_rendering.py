@@ -7,13 +7,10 @@ import numpy as np
 import pytest
 from renderers import CLEAN, DOWN, NOWHERE, make_renderer, needle_through, still
 
-from sonoservo.systems.ultrasound.imaging import ImagingParameters
+from sonoservo.systems.ultrasound import ImagingParameters, Transducer
+from sonoservo.systems.ultrasound.simulation import NeedleEchoParameters, SweepRenderer, Tissue
 from sonoservo.systems.ultrasound.simulation.frame_renderer import FrameRenderer, Frames
-from sonoservo.systems.ultrasound.simulation.needles.needle_echo import NeedleEchoParameters
-from sonoservo.systems.ultrasound.simulation.rendering import SweepRenderer
 from sonoservo.systems.ultrasound.simulation.structures.kinds import FatLayer
-from sonoservo.systems.ultrasound.simulation.tissue import Tissue
-from sonoservo.systems.ultrasound.transducer import Transducer
 
 
 def test_default_grey_levels_leave_room_for_the_needle():

@@ -5,15 +5,15 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from renderers import CLEAN, NOWHERE, World
 
-from sonoservo.systems.signals.immutable import NotFound
-from sonoservo.systems.signals.needle import Needle
-from sonoservo.systems.signals.sweep import Sweep
-from sonoservo.systems.ultrasound.imaging import ImagingParameters
-from sonoservo.systems.ultrasound.simulation.errors import ClockParameters, ConnectionParameters
-from sonoservo.systems.ultrasound.simulation.scanner import Scanner
-from sonoservo.systems.ultrasound.simulation.scanner_parameters import ScannerParameters
-from sonoservo.systems.ultrasound.simulation.tissue import Tissue
-from sonoservo.systems.ultrasound.transducer import Transducer
+from sonoservo.systems.signals import Needle, NotFound, Sweep
+from sonoservo.systems.ultrasound import ImagingParameters, Transducer
+from sonoservo.systems.ultrasound.simulation import (
+    ClockParameters,
+    ConnectionParameters,
+    Scanner,
+    ScannerParameters,
+    Tissue,
+)
 
 IMAGING = ImagingParameters(sector=0.1, depth=0.05, frames=5, volume_rate=8)
 DOWN = RigidTransform(RotationMatrix(RollPitchYaw(-np.pi / 2, 0, 0)), [0, 0, -0.004])

@@ -5,15 +5,9 @@ import pytest
 from renderers import DEEP, make_renderer, still
 
 from sonoservo.systems.files.refusals import ConfigurationError
+from sonoservo.systems.ultrasound.simulation import Ball, Tissue, load_tissue
 from sonoservo.systems.ultrasound.simulation.kernels.blocks import BLOCKS, scatterer_tile
-from sonoservo.systems.ultrasound.simulation.tissue import (
-    Ball,
-    Fibre,
-    RandomBalls,
-    RandomFibres,
-    Tissue,
-    load_tissue,
-)
+from sonoservo.systems.ultrasound.simulation.tissue import Fibre, RandomBalls, RandomFibres
 
 
 def test_tile_is_a_uniform_poisson_process():

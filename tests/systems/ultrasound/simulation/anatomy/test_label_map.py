@@ -9,9 +9,9 @@ import pytest
 import yaml
 from renderers import DOWN, make_renderer, shift, still
 
+from sonoservo.systems.ultrasound.simulation import AnatomyParameters, load_tissue
 from sonoservo.systems.ultrasound.simulation.anatomy.anatomies import LiverAnatomy, liver_label_map
 from sonoservo.systems.ultrasound.simulation.anatomy.anatomy_grid import (
-    AnatomyParameters,
     LabelProperties,
     anatomy_grid,
 )
@@ -20,7 +20,6 @@ from sonoservo.systems.ultrasound.simulation.anatomy.label_map import (
     read_label_map,
     write_label_map,
 )
-from sonoservo.systems.ultrasound.simulation.tissue import load_tissue
 
 SHAPE = (40, 30, 20)
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sonoservo.systems.signals.body_surface import BodySurface
+from sonoservo.systems.signals import BodySurface
 from sonoservo.systems.ultrasound.simulation.kernels.blocks import keep_inside, way_through
 
 BALL = BodySurface([0.2, 0.2, 0.2], "ellipsoid")

@@ -7,9 +7,9 @@ import pytest
 from renderers import about, make_renderer
 from scipy.optimize import minimize_scalar
 
+from sonoservo.systems.ultrasound.simulation import Tissue
 from sonoservo.systems.ultrasound.simulation.kernels.medium import Medium, true_position
 from sonoservo.systems.ultrasound.simulation.structures.kinds import FatLayer
-from sonoservo.systems.ultrasound.simulation.tissue import Tissue
 
 ON_TOP = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1.0]])
 FAT = FatLayer(thickness=0.015, sound_speed=1450.0, level_db=0.0)

@@ -7,11 +7,10 @@ import pytest
 from pymust_referee import middle_line
 from renderers import DEEP, NOWHERE, make_renderer, needle_through, still
 
-from sonoservo.systems.signals.needle import Needle
-from sonoservo.systems.ultrasound.imaging import ImagingParameters
-from sonoservo.systems.ultrasound.simulation.needles.needle_echo import NeedleEchoParameters
+from sonoservo.systems.signals import Needle
+from sonoservo.systems.ultrasound import ImagingParameters, Transducer
+from sonoservo.systems.ultrasound.simulation import NeedleEchoParameters
 from sonoservo.systems.ultrasound.simulation.tissue import Fibre
-from sonoservo.systems.ultrasound.transducer import Transducer
 
 
 def needle_echo(renderer, needle):

@@ -7,12 +7,10 @@ import pytest
 from renderers import DEEP, make_renderer, still
 
 from sonoservo.diagrams import load_scenario
-from sonoservo.systems.signals.needle import Needle
-from sonoservo.systems.ultrasound.simulation.needles.needle_echo import (
-    NeedleEchoParameters,
-    NeedleFading,
-)
-from sonoservo.systems.ultrasound.simulation.needles.needle_kind import draw_needle, load_needle
+from sonoservo.systems.signals import Needle
+from sonoservo.systems.ultrasound.simulation import NeedleEchoParameters, load_needle
+from sonoservo.systems.ultrasound.simulation.needles.needle_echo import NeedleFading
+from sonoservo.systems.ultrasound.simulation.needles.needle_kind import draw_needle
 
 TIP = np.array([0.0, 0.0, -0.15])
 SILENT = {"shadow": 0.0}

@@ -8,13 +8,11 @@ from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from renderers import CLEAN, NOWHERE
 from speckle_motion import speckle_motion
 
-from sonoservo.systems.signals.needle import Needle
-from sonoservo.systems.ultrasound.imaging import ImagingParameters
+from sonoservo.systems.signals import Needle
+from sonoservo.systems.ultrasound import ImagingParameters, Transducer
+from sonoservo.systems.ultrasound.simulation import Ball, SweepRenderer, Tissue
 from sonoservo.systems.ultrasound.simulation.reaction.deformation import Deformation, indentation
-from sonoservo.systems.ultrasound.simulation.rendering import SweepRenderer
 from sonoservo.systems.ultrasound.simulation.structures.kinds import Calcification, FatLayer, Vessel
-from sonoservo.systems.ultrasound.simulation.tissue import Ball, Tissue
-from sonoservo.systems.ultrasound.transducer import Transducer
 
 DOWN = RotationMatrix(RollPitchYaw(-np.pi / 2, 0, 0))
 PRESSED = RigidTransform(DOWN, [0, 0, -4e-3])

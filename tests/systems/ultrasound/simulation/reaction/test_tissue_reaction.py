@@ -7,19 +7,20 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from renderers import CLEAN, NOWHERE, World
 
-from sonoservo.systems.signals.needle import Needle
-from sonoservo.systems.ultrasound.imaging import ImagingParameters
-from sonoservo.systems.ultrasound.simulation.reaction.tissue_reaction import (
-    Drag,
+from sonoservo.systems.signals import Needle
+from sonoservo.systems.ultrasound import ImagingParameters, Transducer
+from sonoservo.systems.ultrasound.simulation import (
     NeedleDragParameters,
+    Scanner,
+    Tissue,
     TissueReaction,
     TissueReactionParameters,
+)
+from sonoservo.systems.ultrasound.simulation.reaction.tissue_reaction import (
+    Drag,
     advance_drag,
     tissue_deformation,
 )
-from sonoservo.systems.ultrasound.simulation.scanner import Scanner
-from sonoservo.systems.ultrasound.simulation.tissue import Tissue
-from sonoservo.systems.ultrasound.transducer import Transducer
 
 PRESSED = RigidTransform(RotationMatrix(RollPitchYaw(-np.pi / 2, 0, 0)), [0, 0, -4e-3])
 DRAG = NeedleDragParameters(distance=1e-3, slip_time=0.1)

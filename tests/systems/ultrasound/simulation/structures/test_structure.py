@@ -6,6 +6,7 @@ from renderers import DOWN, make_renderer, shift, still
 
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.typed_yaml import load_typed
+from sonoservo.systems.ultrasound.simulation import Tissue, load_tissue
 from sonoservo.systems.ultrasound.simulation.structures.kinds import (
     Bone,
     Calcification,
@@ -16,7 +17,6 @@ from sonoservo.systems.ultrasound.simulation.structures.kinds import (
     Vessel,
 )
 from sonoservo.systems.ultrasound.simulation.structures.structure import BesideNeedle
-from sonoservo.systems.ultrasound.simulation.tissue import Tissue, load_tissue
 
 KINDS = [Bone, Vessel, Fascia, Calcification, Gas, NWires, RestingNeedle]
 ENTRY, DIRECTION = [-0.06, 0.01, -0.02], [0.8, 0.1, -0.59]
