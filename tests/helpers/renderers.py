@@ -3,6 +3,9 @@
 from dataclasses import replace
 
 import numpy as np
+from pydrake.common.value import Value
+from pydrake.math import RigidTransform
+from pydrake.systems.framework import LeafSystem
 
 from sonoservo.systems.signals import Needle
 from sonoservo.systems.ultrasound import ImagingParameters, Transducer
@@ -18,6 +21,18 @@ CLEAN = ScannerParameters(noise_db=-55, gain_error_db=0, clutter_db=-300, decorr
 NOWHERE = Needle(np.zeros((0, 3)), 0.635e-3)
 DEEP = Tissue(size=[0.6, 0.6, 0.4])
 """Large enough to hold the whole sweep wherever the probe is."""
+
+
+class World(LeafSystem):
+    """Poses and needles as functions of time, by the names of its ports."""
+
+    def __init__(self, **functions):
+        super().__init__()
+        for name, function in functions.items():
+            model = Value[object]() if "needle" in name else Value(RigidTransform())
+            self.DeclareAbstractOutputPort(
+                name, model.Clone, lambda c, output, f=function: output.set_value(f(c.get_time()))
+            )
 
 
 def make_renderer(tissue=DEEP, needle=None, transducer=None, track_db=-300.0, **imaging):

@@ -45,15 +45,13 @@ def swept(path, number):
 
 
 @lru_cache(maxsize=64)
-def shown(path, number, ball):
+def shown(path, number):
     """Grey levels of a volume from true poses, which no error of the measured ones changes."""
     low, spacing, p_P, inside = grid(PITCH)
     p_W = swept(path, number).to_world(p_P[inside])[0]
     decibels, first = speckle()
     seen = map_coordinates(decibels, ((p_W - first) / STEP).T, order=1, mode="nearest")
     seen += 1.5 * np.random.default_rng(number).normal(size=seen.shape)
-    if ball is not None:
-        seen[np.linalg.norm(p_W - ball, axis=1) < 6e-3] = 20.0
     grey = np.zeros(inside.shape, np.uint8)
     grey[inside] = np.clip(np.round((seen + 40) * 255 / 60), 1, 255)
     return seal(grey), low, spacing
@@ -70,10 +68,9 @@ class LyingProbe:
     def measured(self, time):
         return self.path(time - self.delay).multiply(self.X_PI.inverse())
 
-    def volume(self, number, ball=None):
-        """Volume of a number; where a moving ball is, in W, all is bright."""
+    def volume(self, number):
         motion = swept(self.measured, number)
-        grey, low, spacing = shown(self.path, number, None if ball is None else tuple(ball))
+        grey, low, spacing = shown(self.path, number)
         middle = float(motion.times[12])
         return Volume(grey, low, spacing, self.measured(middle), middle, motion)
 

@@ -62,7 +62,7 @@ def test_a_pose_that_is_wrong_by_2_mm_moves_all_tissue_by_as_much():
     np.testing.assert_allclose(np.median(seen.displacement, axis=0), shift, atol=0.1e-3)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=8, deadline=None)
 @given(
     delay=st.floats(-0.02, 0.02),
     translation=st.tuples(*3 * [st.floats(-0.5, 0.5)]),
@@ -113,16 +113,6 @@ def test_errors_are_found_and_their_doubt_is_right(calibration):
     assert np.abs((found - truth()) / errors.std).max() < 4
     off = found - truth()
     assert off @ np.linalg.solve(errors.covariance, off) < 30  # 99.99 % of chi-squared with 7
-
-
-@pytest.mark.slow
-def test_a_ball_that_moves_does_not_matter(calibration):
-    known = PoseCalibration()
-    for number in range(16):
-        known = known.seen(LYING.volume(number, ball=[0.0, 40e-3, 1.5e-3 * number - 12e-3]))
-    assert abs(known.errors.delay - calibration.errors.delay) < 4e-3
-    apart = known.errors.translation - calibration.errors.translation
-    assert np.linalg.norm(apart) < 0.6e-3
 
 
 def test_corrected_poses_are_true(calibration):

@@ -5,7 +5,6 @@ import pytest
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform, RotationMatrix
 
-from sonoservo.systems.control.visual_features import needle_features
 from sonoservo.systems.control.visual_servo import (
     VisualServo,
     VisualServoParameters,
@@ -113,57 +112,3 @@ def test_the_leaf_follows_or_says_why_it_holds_and_takes_a_gain(mode, age, std, 
     for gain in (2.4, 0.0):
         servo.GetInputPort("gain").FixValue(context, [gain])
         np.testing.assert_allclose(velocity.Eval(context), gain / 0.8 * once)
-
-
-PERIOD = 0.303
-STEP = PERIOD / 30
-START = RigidTransform(RotationMatrix.MakeXRotation(-np.pi / 2), [0.5, 0, 0.2])
-
-
-def servo(gain, *, feed_forward=False, speed=0.0):
-    """Close the loop, with an estimate that is one volume old; (k, 3) true features at every step.
-
-    The estimate in W is seen from where the probe is now. Features held as they were in the image
-    (Chatelain 2013) would diverge at gains above 3.3.
-    """
-    parameters = VisualServoParameters(
-        gain=gain, feed_forward=feed_forward, max_speed=10.0, max_angular_speed_deg=1e4
-    )
-    direction = START.rotation().multiply(np.array([1.0, 0.1, -0.5]) / np.sqrt(1.26))
-    X_WP, poses, features = START, [], []
-    for step in range(round(14.0 / STEP)):
-        time = step * STEP
-        tip = START.multiply([0.02, 0.05, 0.01]) + speed * time * direction
-        R_PW = X_WP.rotation().inverse()
-        features.append(needle_features(X_WP.inverse().multiply(tip), R_PW.multiply(direction)))
-        if step % 30 == 0:
-            poses.append((time, tip))
-            acquired, tip_then = poses[max(len(poses) - 2, 0)]
-            curve = NeedleCurve(np.array([tip_then - 0.05 * direction, tip_then]))
-            velocity = np.array([np.zeros(3), speed * direction])
-            estimate = NeedleEstimate(
-                TrackingMode.TRACKING, acquired, curve, velocity, 1e-8 * np.eye(12)
-            )
-        v_x, v_z, omega = planar_velocity(estimate, X_WP, time, parameters)
-        turn = RotationMatrix.MakeYRotation(omega * STEP)
-        X_WP = X_WP.multiply(RigidTransform(turn, [v_x * STEP, 0, v_z * STEP]))
-    return np.array(features)
-
-
-@pytest.mark.parametrize("gain", [VisualServoParameters().gain, 8.0])
-def test_an_estimate_in_the_world_frame_converges_at_any_gain(gain):
-    features = servo(gain)
-    assert np.abs(features[-1]).max() < 1e-4
-    assert np.abs(features[:, 2]).max() <= np.abs(features[0, 2]) + 1e-9
-
-
-def test_feed_forward_divides_the_lag_by_more_than_four():
-    gain, speed = VisualServoParameters().gain, 5e-3
-    lag, paper = (
-        np.abs(servo(gain, feed_forward=forward, speed=speed)[-1, 0]) for forward in (True, False)
-    )
-    # The tip runs on while the volume ages, one to two periods; to follow it the law needs an error
-    # of speed / gain.
-    across = speed * np.sqrt(1.25 / 1.26)
-    assert across * (1 / gain + PERIOD) < paper < across * (1 / gain + 2 * PERIOD)
-    assert lag < paper / 4

@@ -118,7 +118,11 @@ def test_later_pushes_change_nothing_before_them():
         ({"rotations": [0.2]}, "within the insertion"),
         ({"rotations": [0.06, 0.06]}, "ascending order"),
         ({"bend_radius": 0.84}, "bend_radius: 0.84 .* after bend_radius_spread is subtracted"),
+        ({"gauge": 19}, "gauge: 19"),
+        ({"entry": [0.0, 0.0]}, "entry: .* three coordinates"),
+        ({"feed": None, "dip_deg": 91.0}, "dip_deg: 91.0"),
         ({"pushes": [Push()]}, "pushes: .* a template .* has none"),
+        ({"tremor": 1e-4}, "tremor: .* a template .* has none"),
         ({"bend_radius": None}, "bend_radius_spread: .* a straight needle"),
     ],
 )

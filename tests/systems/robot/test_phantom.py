@@ -6,9 +6,16 @@ from pydrake.multibody.math import SpatialVelocity
 from pydrake.multibody.plant import AddMultibodyPlant, MultibodyPlant, MultibodyPlantConfig
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
+from pydrake.trajectories import PiecewisePolynomial
 
 from sonoservo.systems.robot.contact_force import normal_force
-from sonoservo.systems.robot.phantom import AddPhantom, PhantomContact, load_contact, set_friction
+from sonoservo.systems.robot.phantom import (
+    AddPhantom,
+    PhantomContact,
+    PhantomMotion,
+    load_contact,
+    set_friction,
+)
 from sonoservo.systems.robot.posture import probe_pose
 from sonoservo.systems.robot.probe_body import AddProbeBody, AssumedBody, ProbeBody
 from sonoservo.systems.signals.body_surface import BodySurface
@@ -104,3 +111,14 @@ def test_without_friction_a_curved_body_pushes_along_its_normal(surface):
     angle = np.arccos(abs(force @ normal) / np.linalg.norm(force))
     assert np.rad2deg(angle) < 1.0
     assert pressed == pytest.approx(np.linalg.norm(force), rel=1e-3)
+
+
+def test_motion_gives_position_and_velocity():
+    trajectory = PiecewisePolynomial.FirstOrderHold(
+        [0, 2], np.array([np.zeros(6), np.arange(6.0)]).T
+    )
+    source = PhantomMotion(trajectory=trajectory)
+    context = source.CreateDefaultContext()
+    context.SetTime(0.5)
+    command = source.get_output_port().Eval(context)
+    np.testing.assert_allclose(command, np.concatenate([np.arange(6) / 4, np.arange(6) / 2]))

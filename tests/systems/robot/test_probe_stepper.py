@@ -47,3 +47,9 @@ def test_breathing_shifts_the_tissue_slowly_and_along_one_direction():
     assert 0.98e-3 < size.max() <= 1e-3
     assert np.allclose(size[80:], size[:-80], atol=1e-9)
     assert np.abs(np.diff(size)).max() < 0.05e-3
+
+
+@pytest.mark.parametrize("changes", [{"step": 0.0}, {"steps": 0}, {"tissue_shift": -1e-4}])
+def test_bad_values_are_named(changes):
+    with pytest.raises(ValueError, match=next(iter(changes))):
+        ProbeStepper(**{"X_WP": X_WP, "step": 1e-3, "period": 0.1, "steps": 5, **changes})

@@ -29,14 +29,6 @@ def test_the_kernels_agree_with_scipy(array, outside, mode):
     np.testing.assert_allclose(got, expected, rtol=1e-6, atol=1e-4)
 
 
-@pytest.mark.parametrize("array", ARRAYS)
-def test_elements_are_met_exactly_also_the_last_and_despite_rounding(array):
-    index = np.moveaxis(np.indices(array.shape), 0, -1)
-    origin, spacing = np.full(array.ndim, -0.3), np.full(array.ndim, 0.1)
-    got = sample_grid(array, origin + spacing * index, origin, spacing, -1.0)
-    np.testing.assert_allclose(got, array, atol=1e-4)
-
-
 def test_outside_is_as_wished_and_no_number_is_never_inside():
     array = ARRAYS[1]
     points = [[-0.1, 0, 0], [0, 0, 4.1], [np.nan, 0, 0], [0, np.inf, 0]]

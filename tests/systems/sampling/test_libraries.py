@@ -23,10 +23,7 @@ OURS = ["Haswell", "X86_V4 AVX512F AVX512CD AVX512_SKX AVX512_ICL AVX512_SPR"]
     [
         ({}, ["1", "None", "passive", *(OURS if WIDE else ["None", "None"])]),
         ({"OMP_NUM_THREADS": "4"}, ["None", "4", "passive"]),
-        (
-            {name: "3" for name in SET if name != "OMP_NUM_THREADS"},
-            ["3", "None", "3", "3", "3"],
-        ),
+        ({name: "3" for name in SET if name != "OMP_NUM_THREADS"}, ["3", "None", "3", "3", "3"]),
     ],
 )
 def test_the_first_import_sets_what_the_user_has_not(package, own, expected):

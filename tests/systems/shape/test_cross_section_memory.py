@@ -29,17 +29,6 @@ def test_slices_before_the_start_are_kept_until_an_attempt():
     assert remembered(CrossSectionTrack(), image(0.0), missing, start_slices=1).images == ()
 
 
-def test_the_last_cross_section_outlives_slices_without_one():
-    first = cross_section(0.0)
-    track = remembered(CrossSectionTrack(images=(image(-1.0),)), image(0.0), first, 4)
-    assert track.last is track.found is first
-    assert track.images == ()
-    missing = NotFound("a shadow")
-    track = remembered(track, image(1.0), missing, 4)
-    assert (track.found, track.last, track.time) == (missing, first, 1.0)
-    assert track.images == ()
-
-
 def test_leaf_takes_note_of_every_new_slice_at_its_events():
     memory = CrossSectionMemory(period=1.0)
     context = memory.CreateDefaultContext()

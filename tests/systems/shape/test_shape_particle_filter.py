@@ -63,22 +63,15 @@ def tip(shape_filter, belief, rotations=(TURN,)):
     return mean[0], covariance[0] + paths.origin_variance * np.eye(2)
 
 
-@pytest.mark.parametrize("rotations", [(), (TURN,)])
-def test_modes_have_the_variance_of_curvature_integrated_twice(rotations):
+def test_modes_have_the_variance_of_curvature_integrated_twice():
     depths = np.array([0.03, 0.08, 0.14])
-    modes = wander_modes(DEPTH, rotations, 0.02).at(depths)
+    modes = wander_modes(DEPTH, (TURN,), 0.02).at(depths)
     # Directly, on another grid: u(v) is the integral of (v - t) s(t) kappa(t).
     t = (np.arange(280) + 0.5) * 0.5e-3
-    sign = np.where(t < (rotations[0] if rotations else 1), 1, -1)
+    sign = np.where(t < TURN, 1, -1)
     lever = np.maximum(depths[:, np.newaxis] - t, 0) * sign * 0.5e-3
     covariance = lever @ np.exp(-((t[:, np.newaxis] - t) ** 2) / (4 * 0.02**2)) @ lever.T
     np.testing.assert_allclose(modes @ modes.T, covariance, rtol=0.01, atol=1e-3 * covariance.max())
-
-
-def test_a_constant_curvature_of_one_is_a_parabola():
-    modes = wander_modes(DEPTH, (), 100.0)
-    found = np.abs(modes.at(np.array([0.05, 0.14]))[:, 0])
-    np.testing.assert_allclose(found, np.array([0.05, 0.14]) ** 2 / 2, rtol=1e-3)
 
 
 def test_simulated_needles_wander_as_the_modes_do():
@@ -96,7 +89,7 @@ def test_the_posterior_is_the_exact_one_of_the_linear_model():
     wander = WanderParameters(amplitude=0.2, spread=1e-3, across=1e-4, across_spread=1e-3)
     points, _ = needle(5, 0.2, TURN, 2e-3)
     shape_filter = make_filter(wander, particles=2000)
-    found = [tip(shape_filter, believe(shape_filter, points, seed)) for seed in range(2)]
+    found = [tip(shape_filter, believe(shape_filter, points))]
     radius = np.linspace(0.3, 3.5, 161)
     plane = np.arctan2(*(points[-1, :2] - points[0, :2])[::-1])
     direction = np.array([np.cos(plane), np.sin(plane)])
@@ -145,27 +138,3 @@ def test_whole_needles_teach_the_amplitude_for_the_next(wander):
     # Needles that told nothing change nothing.
     nothing = combined_wander(prior, [prior, prior])
     assert (nothing.amplitude, nothing.spread) == pytest.approx((prior.amplitude, prior.spread))
-
-
-@pytest.mark.parametrize("wander", [pytest.param(0.0, marks=pytest.mark.slow), 0.3])
-def test_the_stated_region_holds_the_tip_when_the_amplitude_is_known(wander):
-    known = WanderParameters(amplitude=max(wander, 0.01), spread=0.2, across=0.01)
-    shape_filter = make_filter(known)
-    squared, within = [], 0
-    for seed in range(8):
-        points, truth = needle(100 + seed, wander, TURN, 4e-3)
-        mean, covariance = tip(shape_filter, believe(shape_filter, points, seed))
-        distance = (truth - mean) @ np.linalg.solve(covariance, truth - mean)
-        squared.append(distance)
-        within += distance < 5.99
-    assert within >= 7
-    assert 0.7 < np.mean(squared) < 4.5
-
-
-def test_tissue_that_breathes_is_not_taken_for_a_needle_that_bends_to_and_fro():
-    points, truth = needle(100, 0.0, TURN)
-    points[:, 0] += 0.5e-3 * np.sin(np.pi * points[:, 2] / 0.04) ** 2
-    shape_filter = make_filter(WanderParameters())
-    mean, covariance = tip(shape_filter, believe(shape_filter, points))
-    assert np.linalg.norm(mean - truth) < 5e-3
-    assert np.sqrt(covariance.trace()) < 5e-3

@@ -7,8 +7,6 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from sonoservo.systems.signals.bicycle_paths import deflections
-
 radii = st.floats(0.3, 5.0)
 angles = st.floats(-0.15, 0.15)
 turns = st.lists(st.integers(5, 135), max_size=4, unique=True).map(
@@ -40,15 +38,6 @@ def test_closed_form_solves_the_differential_equation(radius, angle, rotations):
     depths = np.linspace(0, 0.14, 29)
     assume(abs(angle) + 0.2 / radius < 1.2)
     assert np.allclose(path.deflection(depths), path_by_solver(path, depths), atol=1e-8)
-
-
-def test_many_paths_at_once_are_the_paths_one_by_one():
-    depths, rotations = np.linspace(0, 0.14, 8), (0.06,)
-    parameters = np.array([[1.0, 0.02], [0.5, -0.03]])
-    both = deflections(parameters, depths, np.array(rotations))
-    for row, (curvature, sine) in zip(both, parameters, strict=True):
-        path = BicyclePath(radius=1 / curvature, angle=np.arcsin(sine), rotations=rotations)
-        assert np.allclose(row, path.deflection(depths))
 
 
 def test_a_path_that_turns_back_has_no_deflection_further_on():

@@ -25,10 +25,7 @@ def test_the_top_of_a_cylinder_is_an_arc():
 def test_an_ellipsoid_s_normal_stands_on_its_top():
     x, y, step = 0.05, -0.04, 1e-6
     z = ABDOMEN.height(x, y)
-    slopes = [
-        (ABDOMEN.height(x + step, y) - z) / step,
-        (ABDOMEN.height(x, y + step) - z) / step,
-    ]
+    slopes = [(ABDOMEN.height(x + step, y) - z) / step, (ABDOMEN.height(x, y + step) - z) / step]
     normal = ABDOMEN.normal([x, y, z])
     np.testing.assert_allclose(normal[:2] / normal[2], np.negative(slopes), rtol=1e-4)
 
@@ -48,11 +45,7 @@ def test_a_needle_enters_a_cylinder_where_a_chord_meets_the_circle():
     np.testing.assert_allclose(along, [0.15, 0.01, -0.03], atol=1e-12)
 
 
-@given(
-    azimuth=st.floats(0, 360),
-    dip=st.floats(0, 70),
-    shape=st.sampled_from([BOX, LIMB, ABDOMEN]),
-)
+@given(azimuth=st.floats(0, 360), dip=st.floats(0, 70), shape=st.sampled_from([BOX, LIMB, ABDOMEN]))
 def test_every_entry_is_on_the_surface_and_every_line_then_inside(azimuth, dip, shape):
     aim, along = np.array([0.01, -0.01, -0.04]), line(azimuth, dip)
     entry = shape.entry(aim, along)

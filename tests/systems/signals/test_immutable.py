@@ -19,9 +19,7 @@ def test_values_deep_copy_to_themselves_even_inside_drake():
     assert Value[object](curve).Clone().get_value() is curve
 
 
-@pytest.mark.parametrize(
-    "take", [lambda a: a, lambda a: a[:], lambda a: a[::-1], lambda a: np.broadcast_to(a, (2, 3))]
-)
+@pytest.mark.parametrize("take", [lambda a: a, lambda a: a[::-1]])
 def test_what_a_caller_writes_later_changes_no_value(take):
     array = np.zeros((2, 3))
     given = take(array)

@@ -8,7 +8,9 @@ from sonoservo.systems.signals.planes import Plane, sample_plane, sample_sector,
 
 inside = st.tuples(st.floats(-0.05, 0.05), st.floats(0.005, 0.08), st.floats(-0.035, 0.035))
 anywhere = st.tuples(st.floats(-0.2, 0.2), st.floats(-0.2, 0.2), st.floats(-0.2, 0.2))
-with_fixtures = settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+with_fixtures = settings(
+    max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 
 
 def zeros(p_P):
@@ -56,16 +58,6 @@ def test_rectangles_hold_the_whole_cut_and_touch_it(make_volume, tip, entry, dat
             assert (p_S[:2].max(axis=1) - p_S[:2].min(axis=1) >= size - 0.03).all()
 
 
-def test_planes_without_a_needle_are_those_of_the_probe(make_volume):
-    volume = make_volume(zeros)
-    lateral, elevation = slice_planes(volume)
-    size = volume.upper - volume.origin
-    assert (lateral.width, lateral.height) == pytest.approx((size[0], size[1]))
-    assert (elevation.width, elevation.height) == pytest.approx((size[2], size[1]))
-    assert lateral.X_PS.translation()[2] == pytest.approx(0)
-    assert elevation.X_PS.translation()[0] == pytest.approx(0)
-
-
 def test_a_plane_that_misses_the_volume_is_left_out(make_volume):
     volume = make_volume(zeros)
     curve = curve_in_world(volume, [-0.1, 0.05, 0.2], [0.1, 0.05, 0.2])
@@ -75,16 +67,13 @@ def test_a_plane_that_misses_the_volume_is_left_out(make_volume):
     assert slice_planes(volume, far) == []
 
 
-@pytest.mark.parametrize("motion", [True, False])
-def test_a_slice_through_a_ramp_is_a_ramp(make_volume, motion):
-    volume = make_volume(ramp, dtype=np.float32, motion=motion)
+def test_a_slice_through_a_ramp_is_a_ramp(make_volume):
+    volume = make_volume(ramp, dtype=np.float32)
     curve = curve_in_world(volume, [-0.04, 0.02, -0.01], [0.02, 0.05, 0.01])
     for plane in slice_planes(volume, curve):
         picture = sample_plane(volume, plane, 1e-3)
-        rows, columns = picture.shape
-        assert rows == int(np.ceil(plane.height / 1e-3))
-        assert columns == int(np.ceil(plane.width / 1e-3))
-        p_P = plane.grid(rows, columns)
+        assert picture.shape == tuple(np.ceil([plane.height / 1e-3, plane.width / 1e-3]))
+        p_P = plane.grid(*picture.shape)
         held = ((p_P >= volume.origin) & (p_P <= volume.upper)).all(axis=-1)
         error = picture[held] - ramp(p_P[held])
         assert np.abs(error).max() <= 0.51  # rounded to whole grey levels
@@ -97,8 +86,14 @@ def test_only_the_sector_is_opaque(make_volume, geometry):
     np.testing.assert_array_equal(grey, sample_plane(volume, plane, 1e-3))
     p_P = plane.grid(*opaque.shape)
     np.testing.assert_array_equal(opaque == 255, geometry.contains(p_P))
-    assert set(np.unique(opaque)) == {0, 255}
-    centre = p_P.reshape(-1, 3)[
-        np.argmin(np.linalg.norm(p_P.reshape(-1, 3) - [0, 0.05, 0], axis=1))
-    ]
-    assert geometry.contains(centre[np.newaxis]).all()
+    assert 0 < np.mean(opaque == 255) < 1
+
+
+def test_planes_without_a_needle_are_those_of_the_probe(make_volume):
+    volume = make_volume(zeros)
+    lateral, elevation = slice_planes(volume)
+    size = volume.upper - volume.origin
+    assert (lateral.width, lateral.height) == pytest.approx((size[0], size[1]))
+    assert (elevation.width, elevation.height) == pytest.approx((size[2], size[1]))
+    assert lateral.X_PS.translation()[2] == pytest.approx(0)
+    assert elevation.X_PS.translation()[0] == pytest.approx(0)

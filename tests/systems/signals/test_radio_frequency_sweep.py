@@ -8,19 +8,9 @@ from pydrake.math import RigidTransform, RotationMatrix
 
 from sonoservo.systems.signals.radio_frequency_sweep import RadioFrequencySweep
 from sonoservo.systems.signals.sweep import SweepGeometry, SweepMotion
-from sonoservo.systems.ultrasound.radio_frequency import detect_envelope, detected_geometry
+from sonoservo.systems.ultrasound.radio_frequency import detect_envelope
 
-GEOMETRY = SweepGeometry(
-    array_radius=0.0,
-    motor_radius=0.0,
-    line_pitch=np.deg2rad(0.57),
-    frame_pitch=np.deg2rad(0.75),
-    sample_pitch=2.8519e-5,
-    lines=15,
-    frames=7,
-    samples=1001,
-    frame_period=0.01,
-)
+GEOMETRY = SweepGeometry(0.0, 0.0, 0.01, 0.013, 2.8519e-5, 15, 7, 1001, 0.01)
 X_WP = RigidTransform(RotationMatrix.MakeXRotation(0.3), [0.1, 0.2, 0.3])
 POSES = np.repeat(X_WP.GetAsMatrix4()[np.newaxis], GEOMETRY.frames, axis=0)
 MOTION = SweepMotion(GEOMETRY, 1, np.linspace(0, 0.06, GEOMETRY.frames), POSES)
@@ -43,7 +33,7 @@ def test_index_is_the_inverse_of_position(k, j, i):
     assert times[0] == pytest.approx(0.01 * k)
 
 
-@pytest.mark.parametrize("amplitude_db", [-10.0, 0.0, 20.0])
+@pytest.mark.parametrize("amplitude_db", [-10.0, 20.0])
 def test_envelope_of_a_carrier_is_its_amplitude_but_for_a_decibel(amplitude_db):
     # 7.5 MHz at 27 MHz: 3.6 samples a period, of which five samples see more than one.
     i = np.arange(GEOMETRY.samples)
@@ -81,4 +71,3 @@ def test_bad_input_is_refused():
         RadioFrequencySweep(np.zeros((2, 3, 4), np.float32), MOTION)
     with pytest.raises(ValueError, match="step"):
         detect_envelope(sweep_of(0.0), step=0, floor_db=-20.0)
-    assert detected_geometry(GEOMETRY, 1) == GEOMETRY

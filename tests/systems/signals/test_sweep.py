@@ -7,16 +7,10 @@ from sonoservo.systems.signals.sweep import SweepGeometry, SweepMotion
 from sonoservo.systems.ultrasound.scan_conversion import make_grid
 
 CONVEX = {
-    "array_radius": 0.040,
-    "motor_radius": 0.02725,
-    "line_pitch": np.deg2rad(0.608768),
-    "frame_pitch": np.deg2rad(1.463),
-    "sample_pitch": 0.308e-3,
-    "lines": 96,
-    "frames": 27,
-    "samples": 293,
-    "frame_period": 0.0113,
-}
+    "array_radius": 0.040, "motor_radius": 0.02725, "line_pitch": np.deg2rad(0.608768),
+    "frame_pitch": np.deg2rad(1.463), "sample_pitch": 0.308e-3, "lines": 96, "frames": 27,
+    "samples": 293, "frame_period": 0.0113,
+}  # fmt: skip
 SECTOR = CONVEX | {"array_radius": 0.0, "motor_radius": 0.0}
 
 geometries = st.sampled_from([SweepGeometry(**CONVEX), SweepGeometry(**SECTOR)])
@@ -29,15 +23,6 @@ def test_index_inverts_position(geometry, direction, a, b, c):
     index = np.array([a, b, c]) * (np.array(geometry.shape) - 1)
     p_P = geometry.position(*index, direction)
     assert np.allclose(geometry.index(p_P, direction), index, atol=1e-6)
-
-
-@given(geometries, directions, fractions, fractions)
-def test_samples_of_a_line_are_evenly_spaced_along_a_ray(geometry, direction, a, b):
-    k, j = a * (geometry.frames - 1), b * (geometry.lines - 1)
-    p_P = geometry.position(k, j, np.arange(geometry.samples), direction)
-    steps = np.diff(p_P, axis=0)
-    assert np.allclose(steps, steps[0])
-    assert np.isclose(np.linalg.norm(steps[0]), geometry.sample_pitch)
 
 
 def test_middle_of_the_face_is_the_origin_and_depth_is_along_y():

@@ -1,4 +1,4 @@
-"""The filter on axis, tip and velocity: against the plain Kalman filter, and under rotations."""
+"""The filter on axis, tip and velocity, against the plain Kalman filter."""
 
 import dataclasses
 
@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.spatial.transform import Rotation
 
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
@@ -20,20 +19,15 @@ FILTER = AxisTipFilter(motion=MOTION, turning=TURNING, velocity_gate=1 - 1e-12)
 NOISE = np.diag([1, 0.2, 0.3, 0.5, 0.2, 0.4]) * 1e-8
 VELOCITY_NOISE = np.diag([3, 1, 2]) * 1e-7
 
-rotations = st.tuples(*[st.floats(-4, 4)] * 3).map(lambda v: Rotation.from_rotvec(v).as_matrix())
 noises = st.integers(0, 1000).map(np.random.default_rng)
 
 
-def measurement(entry, tip, R=None, time=0.0):
-    R = np.eye(3) if R is None else R
-    both = np.kron(np.eye(2), R)
-    curve = NeedleCurve(np.array([entry, tip]) @ R.T)
-    return NeedleMeasurement(curve, both @ NOISE @ both.T, time, 1, 1.0)
+def measurement(entry, tip, time=0.0, covariance=NOISE):
+    return NeedleMeasurement(NeedleCurve([entry, tip]), covariance, time, 1, 1.0)
 
 
-def speed(v, R=None):
-    R = np.eye(3) if R is None else R
-    return VelocityMeasurement(R @ v, R @ VELOCITY_NOISE @ R.T, 0.9)
+def speed(v):
+    return VelocityMeasurement(np.array(v), VELOCITY_NOISE, 0.9)
 
 
 def insertion(rng, steps=6):
@@ -45,46 +39,26 @@ def insertion(rng, steps=6):
         yield ends[:3], ends[3:], 0.004 * k + np.sqrt(np.diag(VELOCITY_NOISE)) * rng.normal(size=3)
 
 
-def filtered(rng, R, flip=False):
-    state = None
-    for time, (entry, tip, v) in enumerate(insertion(rng)):
-        found = measurement(entry, tip, R, float(time))
-        if state is None:
-            state = FILTER.start(found)
-            continue
-        if flip:
-            # The same line with the opposite sense, its tip where it was.
-            ends = 2 * tip - entry, tip
-            J = np.kron([[-1, 2], [0, 1]], np.eye(3))
-            noise = np.kron(np.eye(2), R) @ J @ NOISE @ J.T @ np.kron(np.eye(2), R).T
-            found = dataclasses.replace(measurement(*ends, R, float(time)), covariance=noise)
-        state = FILTER.update(FILTER.predict(state, found.time), found, speed(v, R))
-    return state
-
-
-@given(R=rotations, seed=st.integers(0, 100))
-@settings(max_examples=30, deadline=None)
-def test_no_direction_is_special(R, seed):
-    """Angles have poles, where a needle along Z stands; here a rotated world rotates the result."""
-    plain = filtered(np.random.default_rng(seed), np.eye(3))
-    turned = filtered(np.random.default_rng(seed), R)
-    np.testing.assert_allclose(turned.direction, R @ plain.direction, atol=1e-9)
-    np.testing.assert_allclose(turned.tip, R @ plain.tip, atol=1e-10)
-    np.testing.assert_allclose(turned.tip_velocity, R @ plain.tip_velocity, atol=1e-10)
-    P, Q = plain.P[2:5, 2:5], turned.P[2:5, 2:5]
-    np.testing.assert_allclose(Q, R @ P @ R.T, atol=1e-13)
-    np.testing.assert_allclose(turned.frame @ turned.frame.T, np.eye(3), atol=1e-12)
-
-
 def test_a_measured_axis_has_no_sense():
-    plain = filtered(np.random.default_rng(0), np.eye(3))
-    flipped = filtered(np.random.default_rng(0), np.eye(3), flip=True)
-    np.testing.assert_allclose(flipped.direction, plain.direction, atol=1e-9)
-    np.testing.assert_allclose(flipped.tip, plain.tip, atol=1e-10)
+    states = []
+    J = np.kron([[-1, 2], [0, 1]], np.eye(3))
+    for flip in (False, True):
+        state = None
+        for time, (entry, tip, v) in enumerate(insertion(np.random.default_rng(0))):
+            found = measurement(entry, tip, float(time))
+            if state is None:
+                state = FILTER.start(found)
+                continue
+            if flip:  # the same line with the opposite sense, its tip where it was
+                found = measurement(2 * tip - entry, tip, float(time), J @ NOISE @ J.T)
+            state = FILTER.update(FILTER.predict(state, found.time), found, speed(v))
+        states.append(state)
+    np.testing.assert_allclose(states[1].direction, states[0].direction, atol=1e-9)
+    np.testing.assert_allclose(states[1].tip, states[0].tip, atol=1e-10)
 
 
 @given(rng=noises, with_axis=st.booleans(), with_velocity=st.booleans())
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=15, deadline=None)
 def test_one_step_is_the_textbook_filter_on_the_paper_s_states(rng, with_axis, with_velocity):
     """Eqs. 1 to 7 with alpha and beta, far from their poles and for small errors."""
     first, second = list(insertion(rng, 2))
@@ -107,9 +81,8 @@ def test_one_step_is_the_textbook_filter_on_the_paper_s_states(rng, with_axis, w
     x = np.concatenate([direction_angles(state.direction), state.tip, state.tip_velocity])
     A = np.eye(8)
     A[2:5, 5:] = 0.5 * np.eye(3)
-    density = MOTION.insertion * np.outer(state.direction, state.direction) + MOTION.body * np.eye(
-        3
-    )
+    k = state.direction
+    density = MOTION.insertion * np.outer(k, k) + MOTION.body * np.eye(3)
     Q = np.zeros((8, 8))
     Q[:2, :2] = TURNING * 0.5 * turn @ turn.T
     Q[2:, 2:] = np.kron([[0.5**3 / 3, 0.5**2 / 2], [0.5**2 / 2, 0.5]], density)
@@ -129,20 +102,6 @@ def test_one_step_is_the_textbook_filter_on_the_paper_s_states(rng, with_axis, w
     np.testing.assert_allclose(np.sqrt(np.diag(updated.P)[2:]), np.sqrt(np.diag(P)[2:]), rtol=0.05)
 
 
-def test_covariance_says_how_far_it_errs():
-    """Normalised estimation error squared: 8 on average, over insertions of their own."""
-    k = np.array([2, 1, -1]) / np.sqrt(6)
-    squares = []
-    for seed in range(300):
-        state = filtered(np.random.default_rng(seed), np.eye(3))
-        error = np.concatenate(
-            [state.frame[:2] @ k, 0.04 * k - state.tip, 0.004 * k - state.tip_velocity]
-        )
-        squares.append(error @ np.linalg.solve(state.P, error))
-    # The process noise is added to a motion that has none, so it errs by less.
-    assert 1.5 < np.mean(squares) < 9
-
-
 @pytest.mark.parametrize(
     ("direction", "alpha", "beta"),
     [([0.94, 0, 0.34], 0, 70.1), ([0, 1, 0], 90, 90), ([0, 0, 2], 0, 0), ([-1, 0, 0], 180, 90)],
@@ -151,49 +110,32 @@ def test_reported_angles(direction, alpha, beta):
     np.testing.assert_allclose(np.degrees(direction_angles(direction)), [alpha, beta], atol=0.05)
 
 
-@pytest.fixture
-def resting():
-    """A needle along X whose tip has rested at 20 mm for five seconds."""
-    needle_filter = AxisTipFilter(motion=MOTION, turning=TURNING)
-    state = needle_filter.start(measurement([0, 0, 0], [0.02, 0, 0]))
-    for n in range(1, 6):
-        found = measurement([0, 0, 0], [0.02, 0, 0], time=float(n))
-        state = needle_filter.predict(state, found.time)
-        state = needle_filter.update(state, found, speed([0, 0, 0]))
-    return needle_filter, state
-
-
 def test_entry_rests_while_the_tip_advances():
     state = FILTER.start(measurement([0, 0, 0], [0.02, 0, 0]))
     # What the entry and the tip have in common is their covariance too.
     np.testing.assert_allclose(state.covariance[3:6, 3:6], NOISE[3:, 3:], atol=1e-12)
     for n in range(1, 8):
         tip = [0.02 + 0.003 * n, 0, 0]
-        found = measurement([0, 0, 0], tip, time=float(n))
+        found = measurement([0, 0, 0], tip, float(n))
         state = FILTER.update(FILTER.predict(state, n), found, speed([0.003, 0, 0]))
     np.testing.assert_allclose(state.curve.tip, tip, atol=2e-5)
     np.testing.assert_allclose(state.curve.entry, 0, atol=1e-9)
     np.testing.assert_allclose(state.velocity[-1], [0.003, 0, 0], atol=1e-4)
 
 
-def test_an_impossible_velocity_is_not_believed(resting):
-    needle_filter, state = resting
-    state = needle_filter.predict(state, 6.0)
-    found = measurement([0, 0, 0], [0.02, 0, 0], time=6.0)
-    without = needle_filter.update(state, found, None)
-    told = needle_filter.update(state, found, speed([0.5, 0, 0]))
+def test_an_impossible_velocity_is_not_believed():
+    needle_filter = dataclasses.replace(FILTER, velocity_gate=AxisTipFilter().velocity_gate)
+    state = needle_filter.start(measurement([0, 0, 0], [0.02, 0, 0]))
+    for n in range(1, 6):
+        found = measurement([0, 0, 0], [0.02, 0, 0], float(n))
+        state = needle_filter.update(needle_filter.predict(state, n), found, speed([0, 0, 0]))
+    without, told = (needle_filter.update(state, found, v) for v in (None, speed([0.5, 0, 0])))
     np.testing.assert_array_equal(told.velocity, without.velocity)
 
 
-def test_a_bent_needle_is_refused():
+def test_a_bent_needle_and_a_gate_that_passes_all_are_refused():
     curve = NeedleCurve(np.outer([0, 0.01, 0.02], [1, 0, 0]))
     with pytest.raises(ValueError, match="straight"):
         FILTER.start(NeedleMeasurement(curve, np.eye(9), 0.0, 1, 1.0))
-
-
-@pytest.mark.parametrize(
-    ("field", "value"), [("turning", -1.0), ("velocity_gate", 1.0), ("first_speed_std", 0.0)]
-)
-def test_impossible_parameters_are_refused(field, value):
-    with pytest.raises(ValueError, match=field):
-        dataclasses.replace(FILTER, **{field: value})
+    with pytest.raises(ValueError, match="velocity_gate"):
+        AxisTipFilter(velocity_gate=1.0)

@@ -28,13 +28,10 @@ def cells(X_TP=None, noise=0.0, seed=0):
     return Cells(levels.astype(np.float32), np.ones(SHAPE, bool), origin, EDGES)
 
 
-@pytest.mark.parametrize("breath", [[0, 0, 0], [0.4e-3, -0.7e-3, 0.2e-3], [0, 1e-3, 4.5e-3]])
-@pytest.mark.parametrize("moved", [False, True])
-def test_the_shift_of_the_tissue_is_found(breath, moved):
-    """A breath may be several cells large, and the probe may have moved."""
-    X_BN = RigidTransform()
-    if moved:
-        X_BN = RigidTransform(RollPitchYaw(0.02, 0.06, -0.03), [4e-3, -1e-3, 3e-3])
+@pytest.mark.parametrize("breath", [[0.4e-3, -0.7e-3, 0.2e-3], [0, 1e-3, 4.5e-3]])
+def test_the_shift_of_the_tissue_is_found(breath):
+    """A breath may be several cells large, and the probe has moved."""
+    X_BN = RigidTransform(RollPitchYaw(0.02, 0.06, -0.03), [4e-3, -1e-3, 3e-3])
     before, now = cells(noise=0.5), cells(RigidTransform(breath) @ X_BN, noise=0.5, seed=1)
     shift, _ = tissue_shift(now, before, X_BN.GetAsMatrix4(), STARTS)
     np.testing.assert_allclose(shift, breath, atol=0.15e-3)

@@ -70,24 +70,6 @@ def test_insertion_moves_the_tip_and_leaves_the_entry(order):
     np.testing.assert_array_equal(S, expected)
 
 
-def test_innovations_are_consistent():
-    """Simulated with the filter's own model, the mean squared Mahalanobis distance is 3 n."""
-    rng = np.random.default_rng(4)
-    distances = []
-    for _ in range(30):
-        state = FILTER.start(measurement())
-        truth = rng.multivariate_normal(state.mean, state.covariance)
-        for step in range(1, 25):
-            A, Q = constant_velocity(0.3, FILTER.motion.density(state.curve))
-            truth = A @ truth + rng.multivariate_normal(np.zeros(12), Q)
-            points = truth[:6] + rng.multivariate_normal(np.zeros(6), R)
-            z = NeedleMeasurement(NeedleCurve(points.reshape(2, 3)), R, 0.3 * step, 1, 1)
-            predicted = FILTER.predict(state, z.time)
-            distances.append(innovation_distance(predicted, z) ** 2)
-            state = FILTER.update(predicted, z, None)
-    assert np.mean(distances) == pytest.approx(6, rel=0.1)
-
-
 def test_entry_rests_along_an_axis_that_does_not_show_it():
     """A volume says nothing of where along the axis the entry is: it must not slide forwards."""
     covariance = np.diag([1e-6, 1e-8, 1e-8, 0.36e-6, 1e-8, 1e-8])

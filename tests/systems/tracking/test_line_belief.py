@@ -63,6 +63,11 @@ def followed(images):
     return belief
 
 
+@pytest.fixture(scope="module")
+def pushed_in():
+    return followed(volumes(True, True))
+
+
 def along(lines, a, b):
     """Flags of the lines that lie along a stretch, in W, to 4 mm and 8 deg."""
     k = (b - a) / np.linalg.norm(b - a)
@@ -72,10 +77,8 @@ def along(lines, a, b):
     return (away < 4e-3) & (np.abs(d @ k) > np.cos(np.radians(8)) * np.linalg.norm(d, axis=1))
 
 
-@pytest.mark.parametrize("moving", [pytest.param(False, marks=pytest.mark.slow), True])
-def test_a_needle_that_is_pushed_in_is_found_and_a_wire_at_rest_is_not(moving):
-    lines = followed(volumes(True, moving)).hypotheses
-    assert lines
+def test_a_needle_that_is_pushed_in_is_found_and_a_wire_at_rest_is_not(pushed_in):
+    lines = pushed_in.hypotheses
     best = int(lines.probabilities.argmax())
     a, b = pushed(lines.time)
     assert lines.probabilities[best] > 0.95
@@ -87,9 +90,8 @@ def test_a_needle_that_is_pushed_in_is_found_and_a_wire_at_rest_is_not(moving):
     np.testing.assert_allclose(lines.classes.sum(axis=1), 1)
 
 
-@pytest.mark.parametrize("moving", [pytest.param(False, marks=pytest.mark.slow), True])
-def test_where_no_needle_comes_none_is_found(moving):
-    lines = followed(volumes(False, moving)).hypotheses
+def test_where_no_needle_comes_none_is_found():
+    lines = followed(volumes(False, True)).hypotheses
     assert lines.probabilities.max() < 0.5
     wire = np.flatnonzero(along(lines, *WIRE))
     assert len(wire)
@@ -97,15 +99,14 @@ def test_where_no_needle_comes_none_is_found(moving):
     assert "needle" not in kinds
 
 
-def test_the_history_of_a_needle_shows_its_tip_advance():
-    explained = explain_lines(followed(volumes(True, True)))
+def test_the_history_of_a_needle_shows_its_tip_advance(pushed_in):
+    explained = explain_lines(pushed_in)
     assert explained.lines.probabilities[0] == explained.lines.probabilities.max() > 0.95
     # The contrast stands out as far as the needle has come in each volume, and not beyond.
     entry = explained.lines.ends[0, 0]
     beside = 3e-3
-    for time, contrasts, seen in zip(
-        explained.times, explained.contrasts, explained.seen, strict=True
-    ):
+    history = explained.times, explained.contrasts, explained.seen
+    for time, contrasts, seen in zip(*history, strict=True):
         tip = float((pushed(time)[1] - entry) @ K)
         before = seen & (explained.a > 0) & (explained.a < tip - beside)
         beyond = seen & (explained.a > tip + beside)
@@ -118,12 +119,12 @@ def test_the_history_of_a_needle_shows_its_tip_advance():
 def test_a_volume_without_contact_does_not_move_the_tissue():
     images = volumes(False, False)
     dark = [replace(each, intensities=np.ones(SHAPE, np.uint8)) for each in images[:2]]
-    for remembered in followed([*dark, *images[2:15]]).memory:
+    for remembered in followed([*dark, *images[2:8]]).memory:
         assert np.linalg.norm(remembered.displacement) < 0.3e-3
 
 
 def test_the_same_volumes_give_the_same_bits():
-    first, second = (followed(volumes(True, False)[:8]).hypotheses for _ in range(2))
+    first, second = (followed(volumes(True, True)[:6]).hypotheses for _ in range(2))
     for name in ("ends", "probabilities", "classes", "looks", "looked", "numbers"):
         np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
 

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from pydrake.math import RigidTransform
-from scipy.stats import norm
 
 from sonoservo.systems.signals.volume import Volume
 from sonoservo.systems.tracking.cells import cells_of
@@ -14,7 +13,6 @@ from sonoservo.systems.tracking.line_contrast import (
     MIDDLES,
     LineLevels,
     across,
-    best_stretches,
     change_between,
     line_levels,
     log_ratio,
@@ -66,34 +64,6 @@ def test_a_line_is_brighter_than_what_lies_beside_it(kind, inside):
     assert np.mean(seen[0] == np.all((points > 0) & (points < SIZE), axis=1)) > 0.9
 
 
-def test_directions_across_a_line_are_perpendicular_and_the_first_is_level():
-    directions = np.vstack([K, -K, [0, 1, 0], [0, 0, 1], [1, 0, 0]])
-    for k, sides in zip(directions, across(directions), strict=True):
-        np.testing.assert_allclose(sides @ k, 0, atol=1e-12)
-        np.testing.assert_allclose(sides @ sides.T, np.eye(2), atol=1e-12)
-        assert sides[0, 1] == 0
-
-
-def test_a_contrast_is_evidence_by_the_ratio_of_its_densities():
-    contrasts = np.linspace(-1, 4, 11)
-    line = 0.94 * norm.pdf(contrasts, 4.6, 3.0) + 0.06 * norm.pdf(contrasts, 8.0, 8.0)
-    nothing = 0.94 * norm.pdf(contrasts, -1.2, 1.8) + 0.06 * norm.pdf(contrasts, 1.0, 6.0)
-    np.testing.assert_allclose(log_ratio(contrasts), np.log(line / nothing), rtol=1e-9)
-    assert np.abs(log_ratio(np.linspace(-15, 30, 90))).max() == pytest.approx(3.3)
-    assert np.all(np.diff(log_ratio(contrasts)) > 0)
-
-
-def test_the_best_stretch_has_the_largest_sum():
-    evidence = np.random.default_rng(0).normal(-0.2, 1.0, (20, 15))
-    evidence[0] = -1.0
-    for row, first, last, total in zip(evidence, *best_stretches(evidence), strict=True):
-        sums = {(a, b): row[a : b + 1].sum() for a in range(15) for b in range(a, 15)} | {
-            (0, -1): 0.0
-        }
-        assert total == pytest.approx(max(sums.values()))
-        assert sums[first, last] == pytest.approx(total)
-
-
 def test_what_is_not_seen_is_weak_evidence_against_a_line():
     contrasts = np.full((1, 12), 6.0, np.float32)
     contrasts[0, 5:7] = np.nan
@@ -102,7 +72,7 @@ def test_what_is_not_seen_is_weak_evidence_against_a_line():
     assert sums[0] == pytest.approx(10 * log_ratio(np.array([6.0]))[0] - 1.0)
 
 
-@pytest.mark.parametrize(("renewed", "deviation"), [(0.01, 1.0), (0.1, 2.0), (0.4, 1.5)])
+@pytest.mark.parametrize(("renewed", "deviation"), [(0.01, 1.0), (0.4, 1.5)])
 def test_how_contrasts_change_is_measured_from_them(renewed, deviation):
     rng = np.random.default_rng(4)
 
@@ -123,24 +93,16 @@ def test_how_contrasts_change_is_measured_from_them(renewed, deviation):
     assert change_between(LineLevels(now, now), now).deviation < 0.1
 
 
-@pytest.mark.parametrize("seed", [0, *(pytest.param(s, marks=pytest.mark.slow) for s in (1, 2))])
-def test_a_displaced_and_turned_line_is_fitted(seed):
+def test_a_displaced_and_turned_line_is_fitted():
     """The line lies wherever it lies between the cells and directions that are searched."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     k = K + rng.uniform(-0.1, 0.1, 3)
     k /= np.linalg.norm(k)
     at = MIDDLE + rng.uniform(-3e-3, 3e-3, 3)
-    image = volume("line", seed, k, at)
+    image = volume("line", 0, k, at)
     ends = fitted_lines(image, cells_of(image), 10)[0].ends
     direction = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
     assert abs(direction @ k) > np.cos(np.radians(2))
     away = ends.mean(axis=0) - at
     assert np.linalg.norm(away - away @ k * k) < 0.5e-3
     np.testing.assert_allclose(np.sort((ends - at) @ k), [-HALF, HALF], atol=2.5e-3)
-
-
-def test_speckle_holds_no_lines_like_these():
-    image = volume("nothing", 4)
-    brightest = [fit.brightness for fit in fitted_lines(image, cells_of(image), 30)]
-    line = volume("line", 4)
-    assert fitted_lines(line, cells_of(line), 30)[0].brightness > 3 * max(brightest, default=0.0)

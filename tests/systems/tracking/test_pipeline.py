@@ -12,7 +12,6 @@ from sonoservo.systems.signals.needle_prediction import NeedlePrediction
 from sonoservo.systems.signals.volume import acquired_from
 from sonoservo.systems.tracking.localizer_parameters import NeedleLocalizerParameters
 from sonoservo.systems.tracking.pipeline import explain_localization, localize
-from sonoservo.systems.tracking.ransac import RansacParameters
 from sonoservo.systems.tracking.tip import TipParameters
 
 SCENE = Scene(
@@ -56,7 +55,7 @@ def test_measures_axis_and_tip(order, length):
     ends = X_WP.multiply(needle(length).T).T
     volume = SCENE.volume(1, lambda time: ends, X_WP)
     rng = np.random.default_rng(1)
-    for seed in range(5):
+    for seed in range(2):
         guess = expected(ends + rng.normal(size=(2, 3)) * 1e-3, order)
         found = run(volume, guess, seed)
         assert isinstance(found, NeedleMeasurement)
@@ -90,18 +89,10 @@ def test_entry_outside_the_field_of_view():
 
 
 def test_no_needle_where_one_is_expected():
-    volume = SCENE.volume(1)
-    for seed in range(5):
-        assert not run(volume, expected(needle(0.03)), seed)
-
-
-def test_withdrawn_needle():
-    assert not run(SCENE.volume(1, lambda time: needle(0.5e-3)), expected(needle(0.01)))
-
-
-def test_prediction_outside_the_volume():
-    found = run(SCENE.volume(1), expected(needle(0.03) + 1.0))
-    assert found.reason == "the predicted needle lies outside the field of view"
+    for seed in range(2):
+        assert not run(SCENE.volume(1), expected(needle(0.03)), seed)
+    withdrawn = SCENE.volume(1, lambda time: needle(0.5e-3))
+    assert not run(withdrawn, expected(needle(0.01)))
 
 
 def test_without_a_volume_of_interest_the_needle_is_found_wherever_it_is_predicted():
@@ -136,24 +127,11 @@ def test_without_the_sweep_s_time_a_volume_counts_as_acquired_at_its_middle():
     assert middle.time == moving.time != own_times.time
 
 
-def test_without_refits_the_axis_is_less_precise():
-    volume = SCENE.volume(1, lambda time: needle(0.03))
-    angles = {}
-    for refits in (0, 3):
-        found = [
-            run(volume, expected(needle(0.03)), seed, ransac=RansacParameters(refits=refits))
-            for seed in range(10)
-        ]
-        assert all(np.linalg.eigvalsh(each.covariance).min() > 0 for each in found)
-        angles[refits] = np.mean([np.arccos(each.curve.direction @ K) for each in found])
-    assert angles[0] > 1.5 * angles[3]
-
-
 def test_lost_needle_is_found_among_balls_and_rods():
     elsewhere = np.array([[0.0, 0.06, 0.0], [0.03, 0.05, 0.0]])
     ends = needle(0.035)
     errors = []
-    for seed in range(5):
+    for seed in range(3):
         volume = dataclasses.replace(SCENE, seed=seed).volume(1, lambda time: ends)
         found = run(volume, expected(elsewhere, everywhere=True), seed)
         assert found
@@ -165,23 +143,21 @@ def test_lost_needle_is_found_among_balls_and_rods():
 
 def test_balls_are_no_lost_needle():
     balls = dataclasses.replace(SCENE, rods=())
-    for seed in range(3):
-        assert not run(balls.volume(1), expected(needle(0.03), everywhere=True), seed)
+    assert not run(balls.volume(1), expected(needle(0.03), everywhere=True))
 
 
-@pytest.mark.parametrize("everywhere", [False, True])
-@pytest.mark.parametrize(("content", "dtype"), [("constant", np.uint8), ("noise", np.float32)])
-def test_volumes_without_content(everywhere, content, dtype):
+@pytest.mark.parametrize(("content", "everywhere"), [("constant", True), ("noise", False)])
+def test_volumes_without_content(content, everywhere):
     volume = SCENE.volume(1)
     noise = np.random.default_rng(0).integers(0, 255, volume.intensities.shape)
-    intensities = (np.full_like(noise, 80) if content == "constant" else noise).astype(dtype)
-    volume = dataclasses.replace(volume, intensities=intensities)
+    even = np.full(noise.shape, 80, np.uint8)
+    grey = even if content == "constant" else noise.astype(np.float32)
+    volume = dataclasses.replace(volume, intensities=grey)
     assert isinstance(run(volume, expected(needle(0.03), everywhere=everywhere)), NotFound)
 
 
-@pytest.mark.parametrize("order", [2, 3])
-def test_a_needle_never_seen_is_localized_in_the_whole_volume(order):
-    volume = SCENE.volume(1, lambda time: needle(0.05))
+def test_a_needle_never_seen_is_localized_in_the_whole_volume():
+    volume, order = SCENE.volume(1, lambda time: needle(0.05)), 3
     anywhere = NeedlePrediction(order, 0.0, everywhere=True)
     explained = explain_localization(volume, anywhere, PARAMETERS, np.random.default_rng(0))
     found = explained.measurement
@@ -202,8 +178,7 @@ def test_explanation_has_all_that_was_looked_at():
     (attempt,) = explained.attempts
     assert attempt.measurement is explained.measurement
     np.testing.assert_array_equal(
-        explained.measurement.curve.control_points,
-        run(volume, prediction).curve.control_points,
+        explained.measurement.curve.control_points, run(volume, prediction).curve.control_points
     )
     np.testing.assert_array_equal(attempt.region.entry, prediction.entry)
     assert len(attempt.candidates) == len(attempt.weights) == len(attempt.inliers) > 100

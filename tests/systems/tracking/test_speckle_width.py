@@ -37,7 +37,7 @@ def volume(power, gain=40.0):
     )
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=5, deadline=None)
 @given(
     seed=st.integers(0, 2**32 - 1),
     lateral=st.floats(1e-3, 2.5e-3),
@@ -46,11 +46,8 @@ def volume(power, gain=40.0):
 )
 def test_the_widths_are_those_of_the_blur(seed, lateral, axial, elevation):
     spread = speckle_spread(volume(speckle(seed, (lateral, axial, elevation))))
-    for measured, true in (
-        (spread.lateral, lateral),
-        (spread.axial, axial),
-        (spread.elevation, elevation),
-    ):
+    for name, true in {"lateral": lateral, "axial": axial, "elevation": elevation}.items():
+        measured = getattr(spread, name)
         assert np.median(measured) == pytest.approx(true, rel=0.15)
         assert measured == pytest.approx(true, rel=0.35)
 
@@ -82,7 +79,7 @@ def test_without_speckle_there_are_no_widths(level):
     assert speckle_spread(volume(np.full(SHAPE, 1e-9 + level))) is None
 
 
-@pytest.mark.parametrize("depth", [2, 6, 12])
+@pytest.mark.parametrize("depth", [2, 12])
 def test_a_shallow_volume_has_few_depths_and_no_error(depth):
     levels = np.random.default_rng(0).rayleigh(40, (60, depth, 50)).clip(1, 255).astype(np.uint8)
     shallow = Volume(

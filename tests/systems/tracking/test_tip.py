@@ -24,18 +24,17 @@ STEP = 0.25e-3
 SCENE_VOLUME = Scene(seed=2).volume(0)
 
 
-def profile(tip, level=12.0, gaps=(), start=0.0, noise=0.0, sigma=SIGMA, seen=0.08):
+def profile(tip, level=12.0, gaps=(), start=0.0, sigma=SIGMA, seen=0.08):
     """Contrast of a needle over a background of 20 dB, blurred at its ends, with gaps."""
     a = np.arange(-0.01, 0.08, STEP)
     amplitude = ndtr((a - start) / sigma) - ndtr((a - tip) / sigma)
     shaft = 20 * np.log10(10 ** (level / 20) * amplitude + 1)
     for begin, end in gaps:
         shaft[(a > begin) & (a < end)] = 0
-    shaft = shaft + noise * np.random.default_rng(3).normal(size=len(a))
     return AxisProfile(a, np.outer(a, [1, 0, 0]), 20 + shaft, np.full(len(a), 20.0), a < seen)
 
 
-@pytest.mark.parametrize("tip", [0.008, 0.02, 0.05])
+@pytest.mark.parametrize("tip", [0.008, 0.05])
 def test_the_blurred_end_of_a_mirror_is_the_tip(tip):
     extent = find_extent(profile(tip, 30.0), PARAMETERS)
     assert extent.tip == pytest.approx(tip, abs=0.6e-3)
@@ -51,22 +50,11 @@ def test_a_rough_end_may_be_that_of_shaft_or_bevel():
     assert mirror.bevel_std < 0.2e-3
 
 
-def test_a_wider_beam_blurs_the_tip_further_outwards():
-    wide = TipParameters(beam_width=2 * PARAMETERS.beam_width)
-    blurred = profile(0.03, 25.0, sigma=2 * SIGMA)
-    assert find_extent(blurred, wide).tip == pytest.approx(0.03, abs=1.5e-3)
-
-
 def test_gap_is_bridged_only_if_more_lies_beyond():
     gaps = [(0.02, 0.023)]
     assert find_extent(profile(0.04, gaps=gaps), PARAMETERS).tip > 0.038
     gaps = [(0.02, 0.039)]
     assert find_extent(profile(0.04, gaps=gaps), PARAMETERS).end < 0.021
-
-
-def test_noise_beyond_the_tip_does_not_lengthen():
-    extent = find_extent(profile(0.03, noise=1.5), PARAMETERS)
-    assert abs(extent.tip - 0.03) < 2 * extent.tip_std
 
 
 def test_evidence_grows_with_length():
@@ -98,13 +86,12 @@ def test_most_evident_stretch_is_the_best_of_all():
     assert evidence == 0
 
 
-@pytest.mark.parametrize("order", [2, 3])
-def test_profile_follows_the_axis_in_any_pose(order):
+def test_profile_follows_the_axis_in_any_pose():
     X_WP = RigidTransform(RollPitchYaw(2.0, 0.3, -0.5), [0.4, 0.1, 0.2])
     inside = entry_on_side() + np.array([8e-3, 4e-3, 0])
     ends = X_WP.multiply(np.array([inside, inside + np.array([0.025, 0.006, 0])]).T).T
     volume = Scene(seed=3, spacing=1.0e-3).volume(0, lambda time: ends, X_WP)
-    axis = axis_through(np.linspace(*ends, order))
+    axis = axis_through(np.linspace(*ends, 3))
     along = axis_profile(volume, axis, -0.005, 0.04, PARAMETERS)
     extent = find_extent(along, PARAMETERS)
     np.testing.assert_allclose(along.p_W, axis.position(along.a))
@@ -117,15 +104,8 @@ def test_candidates_follow_the_needle_all_along():
     volume = Scene(seed=3, spacing=1.0e-3).volume(0, lambda time: ends)
     axis = axis_through(ends)
     length = np.linalg.norm(ends[1] - ends[0])
-    found = select_candidates(
-        volume,
-        axis,
-        start=0,
-        stop=length,
-        radius=6e-3,
-        cross_section=4e-6,
-        slab=2e-3,
-    )
+    options = {"radius": 6e-3, "cross_section": 4e-6, "slab": 2e-3}
+    found = select_candidates(volume, axis, start=0, stop=length, **options)
     a = axis.abscissa(found.p_P)
     counts = np.histogram(a, np.linspace(0, length, 6))[0]
     # As many where the needle is faint as where it is 20 dB brighter.
@@ -134,13 +114,8 @@ def test_candidates_follow_the_needle_all_along():
     assert axis.distance(found.p_P).max() <= 6e-3 + 1e-9
     assert found.weights.min() >= 0
     assert found.weights.max() <= 1
-
-
-def test_candidates_outside_the_volume():
-    volume = Scene(seed=3, spacing=1.0e-3).volume(0)
-    axis = axis_through(np.array([[1.0, 0, 0], [2.0, 0, 0]]))
-    options = {"start": 0, "stop": 0.02, "radius": 5e-3, "cross_section": 4e-6, "slab": 2e-3}
-    assert len(select_candidates(volume, axis, **options).p_P) == 0
+    outside = axis_through(ends + 1.0)
+    assert len(select_candidates(volume, outside, start=0, stop=0.02, **options).p_P) == 0
 
 
 @pytest.mark.parametrize("dip_deg", [0, 30])
@@ -163,7 +138,7 @@ def test_the_blur_along_the_needle_is_the_volume_s_own(dip_deg):
     assert middle == pytest.approx((projected + on_axis) / 2, rel=0.02)
 
 
-@pytest.mark.parametrize("sigma", [0.5e-3, 0.8e-3, 1.2e-3])
+@pytest.mark.parametrize("sigma", [0.5e-3, 1.2e-3])
 def test_a_known_blur_is_undone_whatever_the_parameter_says(sigma):
     blurred = profile(0.03, 30.0, sigma=sigma)
     width = np.full(len(blurred.a), sigma * np.sqrt(8 * np.log(2)))

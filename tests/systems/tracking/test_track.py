@@ -15,7 +15,7 @@ from sonoservo.systems.signals.search_reason import SearchReason
 from sonoservo.systems.signals.velocity_measurement import VelocityMeasurement
 from sonoservo.systems.tracking.control_point_filter import ControlPointFilter
 from sonoservo.systems.tracking.track import Track
-from sonoservo.systems.tracking.track_lifecycle import TrackLifecycle, gate_distance
+from sonoservo.systems.tracking.track_lifecycle import TrackLifecycle
 from sonoservo.systems.tracking.track_parameters import TrackParameters
 
 STILL = RigidTransform()
@@ -242,16 +242,3 @@ def test_without_filtering_every_measurement_starts_anew():
     track = life.next(tracked(life), 1.0, **NOTHING | {"measurement": measurement(0.09, y=0.1)})
     assert track.mode == TrackingMode.TRACKING
     assert track.state.told == ("start",)
-
-
-def test_gate_passes_true_measurements_with_its_probability():
-    rng = np.random.default_rng(0)
-    for order in (2, 3):
-        distances = np.linalg.norm(rng.normal(size=(20000, 3 * order)), axis=1)
-        assert np.mean(distances <= gate_distance(0.9, order)) == pytest.approx(0.9, abs=0.01)
-
-
-@pytest.mark.parametrize(("field", "value"), [("gate", 1.0), ("volumes_to_lose", 0), ("act", 0.5)])
-def test_parameters_are_checked(field, value):
-    with pytest.raises(ValueError, match=field):
-        TrackParameters(**{field: value})

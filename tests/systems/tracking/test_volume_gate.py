@@ -20,7 +20,6 @@ from sonoservo.systems.tracking.volume_plausibility import (
 
 SCENE = Scene(seed=5, spacing=1.5e-3)
 LIMITS = VolumePlausibilityParameters()
-PERIOD = 0.303
 
 
 @pytest.fixture(scope="module")
@@ -131,17 +130,3 @@ def test_leaf_passes_good_volumes_untouched_and_counts_the_others(volumes):
     assert results[3][1].refused == 1  # the same volume, still there
     assert "refused: it is 0.30 s older" in results[5][1].reason
     assert results[-1][1] == VolumeCheck(accepted=3, refused=2)
-
-
-def test_a_clock_that_runs_tells_times_ahead_of_it(volumes):
-    clock = [each.time + 0.2 for each in volumes[:4]]
-    wrong = [volumes[0], later(volumes[1], 10.0), later(volumes[2], 10.0), volumes[3]]
-    results = list(feed(wrong, clock))
-    assert [isinstance(result, Volume) for result, _ in results] == [True, False, False, True]
-
-
-def test_parameters_are_checked():
-    with pytest.raises(ValueError, match="max_white: 2"):
-        VolumePlausibilityParameters(max_white=2)
-    with pytest.raises(ValueError, match="max_gap: 0"):
-        VolumePlausibilityParameters(max_gap=0)

@@ -2,44 +2,25 @@
 
 import numpy as np
 import pytest
-from renderers import CLEAN
+from renderers import DOWN, NOWHERE, make_renderer, shift, still
 from scipy.signal import hilbert
 
-from sonoservo.systems.signals.needle import Needle
-from sonoservo.systems.ultrasound.imaging import ImagingParameters
-from sonoservo.systems.ultrasound.simulation.rendering import SweepRenderer
 from sonoservo.systems.ultrasound.simulation.tissue import Tissue
 from sonoservo.systems.ultrasound.transducer import load_transducer
-
-NOWHERE = Needle(np.zeros((0, 3)), 0.5e-3)
-ZHAO = ImagingParameters(
-    transmit_frequency=7.5e6,
-    focus_depth=0.05,
-    sector=0.3,
-    frame_pitch_deg=0.7547,
-    frames=5,
-    sample_pitch=1540 / 2 / 27e6,
-    depth=0.05,
-    volume_rate=1.0,
-)
 
 
 @pytest.fixture(scope="module")
 def renderer():
-    tissue = Tissue(size=[0.2, 0.2, 0.2])
-    return SweepRenderer(
-        transducer=load_transducer("zhao2012"),
-        imaging=ZHAO,
-        tissue=tissue,
-        parameters=CLEAN,
-        seed=0,
-    )
+    return make_renderer(
+        Tissue(size=[0.2, 0.2, 0.2]), transducer=load_transducer("zhao2012"),
+        transmit_frequency=7.5e6, focus_depth=0.05, sector=0.3, frame_pitch_deg=0.7547, frames=5,
+        sample_pitch=1540 / 2 / 27e6, depth=0.05, volume_rate=1.0,
+    )  # fmt: skip
 
 
 @pytest.fixture(scope="module")
 def X_TP(renderer):
-    down = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, -0.02], [0, 0, 0, 1.0]])
-    return np.repeat(down[np.newaxis], renderer.geometry.frames, axis=0)
+    return still(renderer, shift(0, 0, 0.08) @ DOWN)
 
 
 def test_envelope_and_phase_are_those_of_the_complex_echo(renderer, X_TP):
@@ -61,13 +42,6 @@ def test_spectrum_lies_at_the_transmitted_frequency(renderer, X_TP):
 
 
 def test_samples_too_far_apart_for_the_carrier_are_refused():
-    renderer = SweepRenderer(
-        transducer=load_transducer("4dc7_3_40"),
-        imaging=ImagingParameters(),
-        tissue=Tissue(),
-        parameters=CLEAN,
-        seed=0,
-    )
-    poses = np.repeat(np.eye(4)[np.newaxis], renderer.geometry.frames, axis=0)
+    coarse = make_renderer()
     with pytest.raises(ValueError, match="sample_pitch: .* below a quarter"):
-        renderer.radio_frequency_lines(poses, [NOWHERE] * renderer.geometry.frames, 1)
+        coarse.radio_frequency_lines(still(coarse), [NOWHERE] * coarse.geometry.frames, 1)

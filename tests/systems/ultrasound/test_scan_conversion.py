@@ -12,16 +12,9 @@ from sonoservo.systems.ultrasound.scan_conversion import ScanConversion, make_gr
 from sonoservo.systems.ultrasound.scan_converter import ScanConversionParameters, ScanConverter
 
 GEOMETRY = SweepGeometry(
-    array_radius=0.04,
-    motor_radius=0.02725,
-    line_pitch=np.deg2rad(1.2),
-    frame_pitch=np.deg2rad(2.9),
-    sample_pitch=1e-3,
-    lines=48,
-    frames=13,
-    samples=80,
+    0.04, 0.02725, np.deg2rad(1.2), np.deg2rad(2.9), 1e-3, lines=48, frames=13, samples=80,
     frame_period=0.02,
-)
+)  # fmt: skip
 
 
 def positions(grid):
@@ -33,29 +26,6 @@ def make_sweep(samples, direction=1):
     poses[:, 0, 3] = np.linspace(0, 1e-3, GEOMETRY.frames)
     times = 0.02 * np.arange(GEOMETRY.frames)[::direction]
     return Sweep(samples, SweepMotion(GEOMETRY, direction, times, poses))
-
-
-@pytest.mark.parametrize("direction", [1, -1])
-def test_agrees_with_scipy_interpolation_at_the_exact_coordinates(direction):
-    samples = np.random.default_rng(3).integers(0, 256, GEOMETRY.shape, np.uint8)
-    grid = make_grid(GEOMETRY, 1.7e-3)
-    volume = ScanConversion(GEOMETRY, grid).convert(samples, direction)
-    p_P = positions(grid)
-    inside = GEOMETRY.contains(p_P)
-    coordinates = [c[inside] for c in GEOMETRY.index(p_P, direction)]
-    expected = map_coordinates(samples.astype(float), coordinates, order=1)
-    both = volume[inside] > 0
-    difference = np.abs(volume[inside][both] - expected[both])
-    assert both.mean() > 0.99
-    assert difference.max() < 0.6  # rounding alone: 1/2
-    assert difference.mean() < 0.26
-
-
-def test_a_constant_stays_constant_inside_and_zero_outside():
-    grid = make_grid(GEOMETRY, 1.7e-3)
-    volume = ScanConversion(GEOMETRY, grid).convert(np.full(GEOMETRY.shape, 100, np.uint8), 1)
-    assert set(np.unique(volume)) == {0, 100}
-    assert np.mean((volume > 0) == GEOMETRY.contains(positions(grid))) > 0.999
 
 
 def test_both_motor_directions_see_a_still_object_at_the_same_place():
@@ -74,30 +44,18 @@ def test_both_motor_directions_see_a_still_object_at_the_same_place():
     assert np.linalg.norm(centroids[0] - centroids[1]) < 0.1e-3
 
 
-def test_a_region_equals_the_same_part_of_the_whole():
-    samples = np.random.default_rng(4).integers(0, 256, GEOMETRY.shape, np.uint8)
-    whole_grid = make_grid(GEOMETRY, 1e-3)
-    whole = ScanConversion(GEOMETRY, whole_grid).convert(samples, 1)
-    low, high = whole_grid.origin + 1e-3 * np.array([[20, 30, 10], [40, 60, 25]])
-    part_grid = make_grid(GEOMETRY, 1e-3, low, high)
-    part = ScanConversion(GEOMETRY, part_grid).convert(samples, 1)
-    np.testing.assert_allclose(part_grid.origin, low)
-    difference = part.astype(int) - whole[20:41, 30:61, 10:26]
-    assert np.abs(difference).max() <= 1
-
-
-@pytest.mark.parametrize("radii", [(0.04, 0.02725), (0.0, 0.0)])
-def test_agrees_with_scipy_on_other_sectors_and_uneven_grids(radii):
+@pytest.mark.parametrize(("radii", "direction"), [((0.04, 0.02725), -1), ((0.0, 0.0), 1)])
+def test_agrees_with_scipy_on_uneven_grids(radii, direction):
     """No row of the grid is cut short: also around the probe's dome, and to a single point."""
     geometry = replace(GEOMETRY, array_radius=radii[0], motor_radius=radii[1])
     grid = make_grid(geometry, [2.3e-3, 0.9e-3, 1.3e-3], [-0.04, -0.02, -0.03], [0.06, 0.09, 0.05])
     samples = np.random.default_rng(5).integers(1, 256, geometry.shape, np.uint8)
-    volume = ScanConversion(geometry, grid).convert(samples, 1)
+    volume = ScanConversion(geometry, grid).convert(samples, direction)
     p_P = positions(grid)
     inside = geometry.contains(p_P)
     assert np.mean((volume > 0) == inside) > 0.9999
     both = inside & (volume > 0)
-    coordinates = [c[both] for c in geometry.index(p_P, 1)]
+    coordinates = [c[both] for c in geometry.index(p_P, direction)]
     expected = map_coordinates(samples.astype(float), coordinates, order=1)
     assert np.abs(volume[both] - expected).max() < 0.6
 
@@ -164,12 +122,9 @@ def test_compensation_leaves_a_constant_constant_and_a_still_probe_alone():
     assert np.mean(np.abs(difference) > 1) < 1e-3  # at the sector's edge alone
 
 
-@pytest.mark.parametrize(
-    ("direction", "velocity", "turn_rate"),
-    [(1, [0, 0, 0.02], 0), (-1, [0, -0.02, 0], 0), (1, [-0.01, 0.01, 0.01], 0.5)],
-)
-def test_no_element_that_a_moving_probe_saw_is_skipped(monkeypatch, direction, velocity, turn_rate):
-    sweep = seen_by_a_moving_probe([0, 0, 0], direction, velocity, turn_rate)
+@pytest.mark.parametrize(("velocity", "turn_rate"), [([0, -0.02, 0], 0), ([-0.01, 0, 0.01], 0.5)])
+def test_no_element_that_a_moving_probe_saw_is_skipped(monkeypatch, velocity, turn_rate):
+    sweep = seen_by_a_moving_probe([0, 0, 0], 1, velocity, turn_rate)
     sweep = replace(sweep, samples=np.full(GEOMETRY.shape, 100, np.uint8))
     conversion = ScanConversion(GEOMETRY, make_grid(GEOMETRY, 2e-3), compensate_motion=True)
     fast = conversion(sweep).intensities
@@ -181,33 +136,9 @@ def test_no_element_that_a_moving_probe_saw_is_skipped(monkeypatch, direction, v
     np.testing.assert_array_equal(fast, conversion(sweep).intensities)
 
 
-def test_a_volume_with_compensation_counts_as_seen_from_one_pose():
-    sweep = seen_by_a_moving_probe([0, 0, 0], 1, [0.02, 0, 0])
-    grid = make_grid(GEOMETRY, 2e-3)
-    volume = ScanConversion(GEOMETRY, grid, compensate_motion=True)(sweep)
-    p_P = np.array([[0.0, 0.03, 0.02], [0.0, 0.03, -0.02]])
-    p_W, times = volume.to_world(p_P)
-    np.testing.assert_allclose(p_W, volume.X_WP.multiply(p_P.T).T)
-    assert times[0] > volume.time > times[1]
-
-
 def test_a_sector_too_wide_is_named():
     with pytest.raises(ValueError, match="line_pitch: .* the sector reaches to 1.35 rad"):
         ScanConversion(replace(GEOMETRY, lines=140, frame_period=0.1), make_grid(GEOMETRY, 2e-3))
-
-
-def test_bounds_contain_every_sample():
-    k, j, i = np.meshgrid(*(np.arange(n) for n in GEOMETRY.shape), indexing="ij")
-    lower, upper = sector_bounds(GEOMETRY)
-    p_P = GEOMETRY.position(k, j, i, 1)
-    assert (p_P >= lower - 1e-4).all()
-    assert (p_P <= upper + 1e-4).all()
-
-
-@pytest.mark.parametrize("spacing", [[1e-3], [1e-3, 1e-3, 0.0], [1e-3, 1e-3, 6e-3]])
-def test_bad_spacing_is_named(spacing):
-    with pytest.raises(ValueError, match="spacing: .* must be three voxel sizes"):
-        ScanConversionParameters(spacing=spacing)
 
 
 def test_leaf_gives_the_middle_pose_and_passes_on_what_is_missing():
@@ -223,6 +154,17 @@ def test_leaf_gives_the_middle_pose_and_passes_on_what_is_missing():
     assert isinstance(volume.X_WP, RigidTransform)
     assert volume.X_WP.translation()[0] == pytest.approx(0.5e-3)
     assert volume.time == pytest.approx(0.12)
-    port.FixValue(context, Value[object]("a wrong value"))
-    with pytest.raises(TypeError, match="received a value of type str; expected Sweep or NotFound"):
-        leaf.GetOutputPort("volume").Eval(context)
+
+
+@pytest.mark.parametrize("spacing", [[1e-3], [1e-3, 1e-3, 6e-3]])
+def test_bad_spacing_is_named(spacing):
+    with pytest.raises(ValueError, match="spacing: .* must be three voxel sizes"):
+        ScanConversionParameters(spacing=spacing)
+
+
+def test_bounds_contain_every_sample():
+    k, j, i = np.meshgrid(*(np.arange(n) for n in GEOMETRY.shape), indexing="ij")
+    lower, upper = sector_bounds(GEOMETRY)
+    p_P = GEOMETRY.position(k, j, i, 1)
+    assert (p_P >= lower - 1e-4).all()
+    assert (p_P <= upper + 1e-4).all()

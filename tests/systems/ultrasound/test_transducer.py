@@ -14,9 +14,6 @@ def test_shipped_transducers_load():
     zhao = load_transducer("zhao2012")
     assert (zhao.lines - 1) * zhao.line_pitch_deg == pytest.approx(40, abs=1e-3)
     assert load_transducer("trus").array_radius == pytest.approx(0.010)
-
-
-def test_unknown_transducer_lists_those_that_ship():
     with pytest.raises(FileNotFoundError, match=r"4dc7_3_40.*zhao2012"):
         load_transducer("5dc8")
 
@@ -28,28 +25,15 @@ def test_own_file(tmp_path):
     path.write_text("transducer: {lens_focus: -1}\n")
     with pytest.raises(ConfigurationError, match=r"mine\.yaml: transducer: lens_focus"):
         load_transducer(str(path))
-    path.write_text("array_radius: 0.06\n")
-    with pytest.raises(ConfigurationError, match="array_radius: unknown section.*transducer"):
-        load_transducer(str(path))
-    path.write_text("transducer: [1]\n")
-    with pytest.raises(ConfigurationError, match="transducer:.*mapping"):
-        load_transducer(str(path))
 
 
 @pytest.mark.parametrize(
     ("name", "value"),
     [
-        ("lines", 0),
-        ("lines", 1),
         ("line_pitch_deg", 2.0),
-        ("element_height", 0.0),
-        ("element_pitch", 0.425),  # mm
         ("element_width", 0.5e-3),  # wider than the pitch
         ("lens_focus", 0.005),  # inside the element
-        ("lens_focus", 60.0),  # mm
         ("array_radius", 40.0),  # mm
-        ("lowest_frequency", 3.0),  # MHz
-        ("side_lobe_level", -30.0),  # dB
     ],
 )
 def test_transducer_errors_name_the_field(name, value):
@@ -71,7 +55,6 @@ def test_chatelain_2013_volume_rates(rate, frames):
     ("name", "imaging"),
     [
         ("4dc7_3_40", ImagingParameters()),
-        ("4dc7_3_40", ImagingParameters(volume_rate=5.7)),
         ("zhao2012", ZHAO),
         ("trus", ImagingParameters(depth=0.06, transmit_frequency=6.5e6, frame_pitch_deg=0.01)),
     ],
@@ -83,14 +66,6 @@ def test_sound_returns_from_every_line_before_the_next(name, imaging):
     assert line_time >= 2 * geometry.depth / imaging.sound_speed
     assert geometry.frames * geometry.frame_period == pytest.approx(1 / imaging.volume_rate)
     assert geometry.period == pytest.approx(1 / imaging.volume_rate)
-
-
-def test_zhao_2012_volume():
-    """Table 1 and its text: 53 x 71 lines of 2608 samples at 27 MHz, 40 deg each way."""
-    geometry = sweep_geometry(load_transducer("zhao2012"), ZHAO)
-    assert geometry.shape == (53, 71, 2608)
-    assert 1540 / (2 * geometry.sample_pitch) == pytest.approx(27e6, rel=1e-3)
-    assert np.rad2deg(52 * geometry.frame_pitch) == pytest.approx(39.25, abs=0.01)
 
 
 def test_motor_limits_the_frames():
@@ -114,15 +89,6 @@ def test_frequency_must_suit_the_transducer():
         sweep_geometry(Transducer(), ImagingParameters(transmit_frequency=10e6))
 
 
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [("gain", 1.2), ("sector", 0.0), ("depth", 0.0), ("depth", 90.0), ("sample_pitch", 3e-10)],
-)
-def test_imaging_errors_name_the_field(name, value):
-    with pytest.raises(ValueError, match=name):
-        ImagingParameters(**{name: value})
-
-
 def test_lines_of_a_linear_probe_are_parallel_and_cover_its_face():
     imaging = ImagingParameters(
         transmit_frequency=7.5e6, focus_depth=0.03, depth=0.045, sector=1.0, sample_pitch=0.1e-3,
@@ -134,3 +100,11 @@ def test_lines_of_a_linear_probe_are_parallel_and_cover_its_face():
     assert width[0] == pytest.approx(38.6e-3, rel=0.02)
     assert width[1] == pytest.approx(width[0], rel=0.011)
     assert np.abs(ends[..., 1] - [0, 0.045]).max() < 0.06e-3
+
+
+def test_zhao_2012_volume():
+    """Table 1 and its text: 53 x 71 lines of 2608 samples at 27 MHz, 40 deg each way."""
+    geometry = sweep_geometry(load_transducer("zhao2012"), ZHAO)
+    assert geometry.shape == (53, 71, 2608)
+    assert 1540 / (2 * geometry.sample_pitch) == pytest.approx(27e6, rel=1e-3)
+    assert np.rad2deg(52 * geometry.frame_pitch) == pytest.approx(39.25, abs=0.01)

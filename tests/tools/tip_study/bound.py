@@ -13,7 +13,6 @@ from sonoservo.systems.signals.sweep import SweepGeometry
 from tip_study.needle_end import (
     INTERVAL,
     EchoModel,
-    EndSamples,
     NeedleEnd,
     echo_model,
     samples_near,
@@ -139,35 +138,20 @@ def tip_error_bound(
         model = echo_model(end, samples, np.array([true]), noise_db)
         noise = rng.normal(scale=np.sqrt(0.5), size=(2, len(samples.along)))
         echoes = model.mean[0] + model.root[0] @ (noise[0] + 1j * noise[1])
-        _, variance = tip_posterior(end, samples, np.abs(echoes), noise_db, rng, particles)
-        _, field = _posterior(
-            partial(echo_model, end, samples, noise_db=noise_db),
+        models = partial(echo_model, end, samples, noise_db=noise_db)
+        seen = {"envelope": np.abs(echoes), "rng": rng, "particles": particles}
+        both = (
+            partial(envelope_log_likelihood, **seen),
             partial(field_log_likelihood, echoes=echoes),
         )
-        found.append((variance, samples.blur**2 * field))
+        found.append([samples.blur**2 * _variance(models, each) for each in both])
     return TipBound(*np.transpose(found))
 
 
-def tip_posterior(
-    end: NeedleEnd, samples: EndSamples, envelope: Floats, noise_db: float,
-    rng: np.random.Generator, particles: int = 50,
-) -> tuple[float, float]:  # fmt: skip
-    """Return mean and variance of the tip given a volume: the estimator that attains the bound.
-
-    The tip is an abscissa in m from the point of the axis around which the samples lie; the (n,)
-    amplitudes of their envelope are relative to the tissue's root mean square.
-    """
-    mean, variance = _posterior(
-        partial(echo_model, end, samples, noise_db=noise_db),
-        partial(envelope_log_likelihood, envelope=envelope, rng=rng, particles=particles),
-    )
-    return samples.blur * mean, samples.blur**2 * variance
-
-
-def _posterior(
+def _variance(
     models: Callable[[Floats], EchoModel], log_likelihood: Callable[[EchoModel], Floats]
-) -> tuple[float, float]:
-    """Return mean and variance of the tip, in units of the blur.
+) -> float:
+    """Return the variance of the tip given a volume, in units of the blur.
 
     Tips are compared on a coarse grid first, then on a fine one between those that are possible.
     """
@@ -181,5 +165,4 @@ def _posterior(
     fine = log_likelihood(models(tips))
     weights = np.exp(fine - fine.max())
     weights /= weights.sum()
-    mean = float(weights @ tips)
-    return mean, float(weights @ (tips - mean) ** 2)
+    return float(weights @ (tips - weights @ tips) ** 2)

@@ -7,10 +7,9 @@ import numpy as np
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_prediction import NeedlePrediction
 from sonoservo.systems.tracking import NeedleLocalizerParameters, localize
-from tip_study.bound import tip_error_bound, tip_posterior
-from tip_study.needle_end import samples_near
+from tip_study.bound import tip_error_bound
 
-from .needles import CONTRASTS, DEPTHS, DIPS, RADIUS, TIPS, End, end_of, scanner, sweep_with
+from .needles import CONTRASTS, DEPTHS, DIPS, TIPS, End, end_of, scanner, sweep_with
 from .tables import line_of
 
 NOISE_DB = -55.0
@@ -41,23 +40,6 @@ def bound_of(end, using, volumes):
         end_of(end, using), using.geometry, using.spread, depth=end.depth, dip_deg=end.dip,
         noise_db=noise_db(end, using), volumes=volumes, particles=100,
     )  # fmt: skip
-
-
-def best_error_along(end, using, seed):
-    """Error in m, in a rendered sweep, of the estimator that knows what the bound supposes."""
-    sweep, ends, rng = sweep_with(end, using, seed)
-    k = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
-    beam = ends[1] + [0, using.geometry.array_radius, 0]
-    beam[2] = 0
-    # The echo is that of the front wall. The search is centred anywhere near the tip.
-    echo = ends[1] - RADIUS * beam / np.linalg.norm(beam)
-    blur = samples_near(using.geometry, using.spread, echo, k).blur
-    off = rng.uniform(-2, 2) * blur
-    samples = samples_near(using.geometry, using.spread, echo + off * k, k)
-    level = sweep.sample(samples.p_P) - using.imaging.tissue_grey
-    envelope = 10 ** (using.imaging.decibels_per_level * level / 20)
-    args = end_of(end, using), samples, envelope, noise_db(end, using), rng
-    return tip_posterior(*args)[0] + off
 
 
 def study(volumes, first_seed, say, *, bound_volumes=20, dips=DIPS, depths=DEPTHS, tips=TIPS,

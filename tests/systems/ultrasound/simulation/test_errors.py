@@ -81,44 +81,38 @@ def processed(arrivals, processing_time, until, step=1 / 64):
     return seen
 
 
-def test_quick_program_processes_every_sweep_at_its_arrival():
-    assert processed([1, 2, 3], 0.0, 4) == [(1, 0), (2, 1), (3, 2)]
-    assert processed([1, 2, 3], 0.5, 4) == [(1.5, 0), (2.5, 1), (3.5, 2)]
-
-
-def test_slow_program_takes_the_newest_and_drops_the_rest():
-    # Busy from 1 to 2.5, 2.5 to 4, 4 to 5.5 ...: the newest at 4 is the one that arrives then.
-    assert processed(range(1, 9), 1.5, 9) == [(2.5, 0), (4, 1), (5.5, 3), (7, 4), (8.5, 6)]
-
-
-def test_sweep_overtaken_by_a_newer_one_is_dropped():
-    assert processed([1, 3.5, 3], 0.0, 5) == [(1, 0), (3, 2)]
-
-
-RNG = np.random.default_rng
+@pytest.mark.parametrize(
+    ("arrivals", "processing_time", "expected"),
+    [
+        ([1, 2, 3], 0.5, [(1.5, 0), (2.5, 1), (3.5, 2)]),
+        # Busy from 1 to 2.5, 2.5 to 4, 4 to 5.5: the newest at 4 is the one that arrives then.
+        (range(1, 9), 1.5, [(2.5, 0), (4, 1), (5.5, 3), (7, 4), (8.5, 6)]),
+        ([1, 3.5, 3], 0.0, [(1, 0), (3, 2)]),
+    ],
+    ids=["in time", "too slow", "overtaken"],
+)
+def test_the_newest_sweep_is_processed_and_older_ones_are_dropped(
+    arrivals, processing_time, expected
+):
+    assert processed(arrivals, processing_time, 9) == expected
 
 
 def test_backlash_lags_behind_either_way_and_errors_have_their_deviation():
     play = MotorParameters(backlash_deg=0.6)
-    np.testing.assert_allclose(np.rad2deg(motor_error(play, 5, 1, RNG(0))), -0.3)
-    np.testing.assert_allclose(np.rad2deg(motor_error(play, 5, -1, RNG(0))), 0.3)
-    errors = np.rad2deg(motor_error(MotorParameters(error_deg=0.2), 5000, 1, RNG(0)))
+    np.testing.assert_allclose(np.rad2deg(motor_error(play, 5, 1, np.random.default_rng(0))), -0.3)
+    np.testing.assert_allclose(np.rad2deg(motor_error(play, 5, -1, np.random.default_rng(0))), 0.3)
+    rng = np.random.default_rng(0)
+    errors = np.rad2deg(motor_error(MotorParameters(error_deg=0.2), 5000, 1, rng))
     assert errors.std() == pytest.approx(0.2, rel=0.05)
     assert abs(np.corrcoef(errors[1:], errors[:-1])[0, 1]) < 0.06
 
 
-def test_motor_of_a_single_frame_rests():
-    assert motor_error(MotorParameters(backlash_deg=1.0, error_deg=1.0), 1, 1, RNG(0)) == [0.0]
-
-
 def make_renderer(**errors):
+    imaging = ImagingParameters(sector=0.1, frames=27, volume_rate=3.3)
     return SweepRenderer(
-        transducer=Transducer(),
-        imaging=ImagingParameters(sector=0.1, frames=27, volume_rate=3.3),
-        tissue=DEEP,
-        parameters=ScannerParameters(**errors),
-        seed=0,
-    )
+        transducer=Transducer(), imaging=imaging, tissue=DEEP,
+        parameters=ScannerParameters(**errors), seed=0,
+    )  # fmt: skip
 
 
 def acquire(renderer, needle=NOWHERE, direction=1, number=0):

@@ -16,13 +16,11 @@ NOTHING = Tissue(size=[0.6, 0.6, 0.4], level_db=-60.0)
 
 
 def make(tissue=NOTHING, **parameters):
+    parameters = dataclasses.replace(CLEAN, gel_thickness=1.0, noise_db=-90.0, **parameters)
     return SweepRenderer(
-        transducer=Transducer(),
-        imaging=ImagingParameters(gain=0.8),
-        tissue=tissue,
-        parameters=dataclasses.replace(CLEAN, gel_thickness=1.0, noise_db=-90.0, **parameters),
-        seed=0,
-    )
+        transducer=Transducer(), imaging=ImagingParameters(gain=0.8), tissue=tissue,
+        parameters=parameters, seed=0,
+    )  # fmt: skip
 
 
 def levels_db(renderer, X=None):

@@ -1,20 +1,15 @@
 import numpy as np
 import pytest
-from pydrake.common.value import Value
 from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import DiagramBuilder, LeafSystem
-from renderers import CLEAN
+from pydrake.systems.framework import DiagramBuilder
+from renderers import CLEAN, NOWHERE, World
 
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.sweep import Sweep
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
-from sonoservo.systems.ultrasound.simulation.errors import (
-    ClockParameters,
-    ConnectionParameters,
-    MotorParameters,
-)
+from sonoservo.systems.ultrasound.simulation.errors import ClockParameters, ConnectionParameters
 from sonoservo.systems.ultrasound.simulation.scanner import Scanner
 from sonoservo.systems.ultrasound.simulation.scanner_parameters import ScannerParameters
 from sonoservo.systems.ultrasound.simulation.tissue import Tissue
@@ -22,54 +17,26 @@ from sonoservo.systems.ultrasound.transducer import Transducer
 
 IMAGING = ImagingParameters(sector=0.1, depth=0.05, frames=5, volume_rate=8)
 DOWN = RigidTransform(RotationMatrix(RollPitchYaw(-np.pi / 2, 0, 0)), [0, 0, -0.004])
-NOWHERE = Needle(np.zeros((0, 3)), 0.635e-3)
 NEEDLE = Needle(np.array([[-0.05, 0, -0.03], [0.0, 0, -0.03]]), 0.635e-3)
 
 
 def make_scanner(**changes):
-    arguments = {
-        "transducer": Transducer(),
-        "imaging": IMAGING,
-        "tissue": Tissue(),
-        "parameters": CLEAN,
-        "seed": 7,
-    }
-    return Scanner(**arguments | changes)
-
-
-class World(LeafSystem):
-    """Poses and needle as functions of time."""
-
-    def __init__(self, X_WP, X_WT, needle, measured):
-        super().__init__()
-        for name, value, model in (
-            ("true_X_WP", X_WP, Value(RigidTransform())),
-            ("X_WP", measured or X_WP, Value(RigidTransform())),
-            ("X_WT", X_WT, Value(RigidTransform())),
-            ("needle", needle, Value[object]()),
-        ):
-            self.DeclareAbstractOutputPort(
-                name,
-                model.Clone,
-                lambda context, output, value=value: output.set_value(value(context.get_time())),
-            )
+    arguments = {"transducer": Transducer(), "imaging": IMAGING, "tissue": Tissue()}
+    return Scanner(**{**arguments, "parameters": CLEAN, "seed": 7, **changes})
 
 
 def run(
-    scanner,
-    *,
-    X_WP=lambda t: DOWN,
-    X_WT=lambda t: RigidTransform(),
-    needle=lambda t: NOWHERE,
+    scanner, *, X_WP=lambda t: DOWN, X_WT=lambda t: RigidTransform(), needle=lambda t: NOWHERE,
     measured=None,
-):
+):  # fmt: skip
     """Simulator and a function that reads the sweep, or another port.
 
     Without ``measured`` poses, the true ones are all there are.
     """
     builder = DiagramBuilder()
     builder.AddSystem(scanner)
-    world = builder.AddSystem(World(X_WP, X_WT, needle, measured))
+    world = World(true_X_WP=X_WP, X_WP=measured or X_WP, X_WT=X_WT, needle=needle)
+    builder.AddSystem(world)
     for name in ("X_WP", "X_WT", "needle", *(["true_X_WP"] if measured else [])):
         builder.Connect(world.GetOutputPort(name), scanner.GetInputPort(name))
     simulator = Simulator(builder.Build())
@@ -91,8 +58,10 @@ def test_a_sweep_appears_when_its_last_frame_ends():
     assert not sweep()
     assert sweep() == NotFound("no sweep is complete yet")
     simulator.AdvanceTo(1.01 * period)
-    assert isinstance(sweep(), Sweep)
-    assert sweep().samples.shape == scanner.geometry.shape
+    assert isinstance(first := sweep(), Sweep)
+    assert first.samples.shape == scanner.geometry.shape
+    simulator.AdvanceTo(1.9 * period)  # more frames, the same sweep
+    assert sweep() is first
 
 
 def test_sweeps_alternate_and_frames_are_numbered_towards_z():
@@ -105,19 +74,6 @@ def test_sweeps_alternate_and_frames_are_numbered_towards_z():
         assert motion.direction == direction
         acquired = step * (5 * number + np.arange(5))
         assert motion.times == pytest.approx(acquired[::direction], abs=1e-9)
-
-
-def test_every_frame_has_its_own_pose():
-    """The probe moves; copies are kept, though the input's value changes in place."""
-    scanner = make_scanner()
-
-    def moving(time):
-        return RigidTransform(DOWN.rotation(), [0.1 * time, 0, -0.004])
-
-    simulator, sweep = run(scanner, X_WP=moving)
-    simulator.AdvanceTo(2.1 * scanner.geometry.period)
-    motion = sweep().motion
-    assert motion.X_WP[:, 0, 3] == pytest.approx(0.1 * motion.times)
 
 
 def test_every_frame_has_its_own_needle():
@@ -141,37 +97,6 @@ def test_speckle_moves_with_the_phantom():
     assert np.corrcoef(alone.ravel(), at_rest.ravel())[0, 1] < 0.3
 
 
-def test_one_sweep_is_rendered_once_and_is_read_only():
-    scanner = make_scanner()
-    simulator, sweep = run(scanner)
-    simulator.AdvanceTo(1.1 * scanner.geometry.period)
-    first = sweep()
-    simulator.AdvanceTo(1.9 * scanner.geometry.period)  # more frames, the same sweep
-    assert sweep() is first
-    with pytest.raises(ValueError, match="read-only"):
-        first.samples[0, 0, 0] = 0
-
-
-def test_rendering_in_the_background_changes_nothing(monkeypatch):
-    def sweeps():
-        scanner = make_scanner(
-            parameters=ScannerParameters(motor=MotorParameters(backlash_deg=0.5, error_deg=0.2))
-        )
-        simulator, sweep = run(
-            scanner,
-            X_WP=lambda t: RigidTransform(DOWN.rotation(), [0.01 * t, 0, -0.004]),
-            needle=lambda t: Needle(np.add(NEEDLE.shaft, [0.02 * t, 0, 0]), NEEDLE.radius),
-        )
-        for number in range(1, 4):
-            simulator.AdvanceTo(number * scanner.geometry.period + 1e-3)
-            yield sweep().samples
-
-    beside = list(sweeps())
-    monkeypatch.setattr("sonoservo.systems.ultrasound.simulation.rendering.workers", lambda: None)
-    for one, other in zip(beside, sweeps(), strict=True):
-        np.testing.assert_array_equal(one, other)
-
-
 def test_true_pose_is_rendered_and_the_measured_one_is_the_label():
     wrong = RigidTransform([0.3, 0.2, 0.1]) @ DOWN
     labelled = sweep_at(0.13, measured=lambda t: wrong)
@@ -184,7 +109,7 @@ def moving(time):
     return RigidTransform(DOWN.rotation(), [0.01 * time, 0, -0.004])
 
 
-@pytest.mark.parametrize("offset", [0.0, 0.04, -0.04, 0.2])
+@pytest.mark.parametrize("offset", [-0.04, 0.2])
 def test_skewed_clock_gives_each_frame_the_pose_of_its_stamp(offset):
     clock = ClockParameters(offset=offset, drift=1e-3)
     scanner = make_scanner(parameters=ScannerParameters(clock=clock))
@@ -216,23 +141,16 @@ def sweeps_seen(scanner, count):
 def test_lost_sweeps_do_not_appear():
     connection = ConnectionParameters(lost_sweeps=0.25)
     scanner = make_scanner(parameters=ScannerParameters(connection=connection))
-    seen = sweeps_seen(scanner, 101)
-    assert len(seen) == pytest.approx(75, abs=4 * np.sqrt(100 * 0.25 * 0.75))
+    seen = sweeps_seen(scanner, 61)
+    assert len(seen) == pytest.approx(45, abs=4 * np.sqrt(60 * 0.25 * 0.75))
     for number, time in seen.items():
         assert time == pytest.approx(number + 1)
-
-
-def test_program_that_is_busy_for_longer_than_a_sweep_drops_some():
-    scanner = make_scanner(processing_time=1.4 * make_scanner().geometry.period)
-    seen = sweeps_seen(scanner, 9)
-    # Taken at 1, 2.4, 3.8, 5.2, 6.6: the newest at each of these times.
-    assert seen == pytest.approx({0: 2.4, 1: 3.8, 2: 5.2, 4: 6.6, 5: 8.0}, abs=1e-6)
 
 
 def test_late_sweeps_come_a_frame_or_more_later():
     connection = ConnectionParameters(lateness=0.02)
     scanner = make_scanner(parameters=ScannerParameters(connection=connection))
-    seen = sweeps_seen(scanner, 101)
+    seen = sweeps_seen(scanner, 61)
     late = np.array([time - (number + 1) for number, time in seen.items()])
     frame = scanner.geometry.frame_period / scanner.geometry.period
     mean = 0.02 / scanner.geometry.period + frame / 2

@@ -37,15 +37,9 @@ def test_noise_is_rayleigh_and_repeatable():
 
     def noise(key):
         grey = np.empty((100, 400), np.uint8)
-        compress(
-            grey,
-            np.zeros(grey.shape, np.complex64),
-            np.ones(100, np.float32),
-            np.ones(400, np.float32),
-            np.uint64(key),
-            4.0,
-            np.full(400, 150, np.float32),
-        )
+        silent, gains = np.zeros(grey.shape, np.complex64), np.ones(100, np.float32)
+        loud, offsets = np.ones(400, np.float32), np.full(400, 150, np.float32)
+        compress(grey, silent, gains, loud, np.uint64(key), 4.0, offsets)
         return grey.astype(float)
 
     first = noise(1)

@@ -8,7 +8,6 @@ from pymust_referee import middle_line
 from renderers import DEEP, NOWHERE, make_renderer, needle_through, still
 
 from sonoservo.systems.signals.needle import Needle
-from sonoservo.systems.ultrasound.beam import FWHM_PER_SIGMA
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
 from sonoservo.systems.ultrasound.simulation.needles.needle_echo import NeedleEchoParameters
 from sonoservo.systems.ultrasound.simulation.tissue import Fibre
@@ -47,7 +46,7 @@ def test_needle_mirrors_sound_as_a_smooth_rod_does():
     k = 4 * np.pi / beam.wavelength
     normal = specular_level(renderer, 0.0, 0.0)
     assert normal == pytest.approx(needle.specular_db, abs=0.5)
-    for degrees in (2, 4, 6):
+    for degrees in (3, 6):
         a = np.deg2rad(degrees)
         s = 1 / np.sqrt(np.cos(a) ** 2 / lateral**2 + np.sin(a) ** 2 / beam.axial**2)
         law = s / lateral * np.exp(-((k * np.sin(a) * s) ** 2) / 2)
@@ -57,7 +56,7 @@ def test_needle_mirrors_sound_as_a_smooth_rod_does():
     assert specular_level(renderer, np.deg2rad(90), 0.0) - normal == pytest.approx(0, abs=1.5)
 
 
-def check_angle_law(degrees):
+def test_needles_angle_law_matches_pymust():
     """Echo of a smooth rod 60 mm deep over its tilt, against PyMUST's of points along it."""
     needle = NeedleEchoParameters(**BARE, diffuse_db=-200.0)
     renderer = make_renderer(needle=needle, sector=0.2, sample_pitch=0.05e-3)
@@ -65,43 +64,15 @@ def check_angle_law(degrees):
     s = np.arange(-8e-3, 8e-3, imaging.wavelength / 4)
     # Faded ends echo nothing of their own.
     ends = np.sin(np.pi / 2 * np.clip((8e-3 - np.abs(s)) / 2e-3, 0, 1)) ** 2
-    ours, theirs = [], []
-    for a in np.deg2rad([0, *degrees]):
-        ours.append(np.mean([specular_level(renderer, 0.0, rise) for rise in (a, -a)]))
-        points = np.stack([s * np.cos(a), 0.06 + s * np.sin(a), np.zeros(len(s))], axis=1)
-        envelope = middle_line(Transducer(), imaging, points, ends, 0.06)
-        theirs.append(20 * np.log10(envelope.max()))
-    relative = np.array(theirs[1:]) - theirs[0]
-    assert (relative > -24).all()
-    assert np.array(ours[1:]) - ours[0] == pytest.approx(relative, abs=3)
-
-
-def test_needles_angle_law_matches_pymust():
-    check_angle_law([4, 7])
-
-
-@pytest.mark.slow
-def test_needles_angle_law_matches_pymust_to_8_deg():
-    check_angle_law(range(1, 9))
-
-
-def test_the_beam_makes_the_needle_look_thick():
-    """At -20 dB it is 4 mm thick across the frames, 60 mm deep: 1.82 widths at -6 dB."""
-    needle = NeedleEchoParameters(**BARE, diffuse_db=-200.0)
-    renderer = make_renderer(needle=needle, sector=0.05, depth=0.07, sample_pitch=0.05e-3)
-    geometry = renderer.geometry
-    offsets = np.arange(-4e-3, 4e-3, 0.2e-3)
     levels = []
-    for offset in offsets:
-        echo = needle_echo(renderer, needle_through([0, offset, -0.16], 0.0, 0.0))
-        levels.append(np.abs(echo[geometry.frames // 2, geometry.lines // 2]).max())
-    levels = np.array(levels) / max(levels)
-    middle = len(offsets) // 2
-    near = np.interp(0.1, levels[: middle + 1], offsets[: middle + 1])
-    far = np.interp(-0.1, -levels[middle:], offsets[middle:])
-    assert far - near == pytest.approx(4e-3, rel=0.2)
-    i = round(0.06 / geometry.sample_pitch)
-    assert far - near == pytest.approx(1.82 * FWHM_PER_SIGMA * renderer.beam.elevation[i], rel=0.12)
+    for a in np.deg2rad([0, 4, 7]):
+        ours = np.mean([specular_level(renderer, 0.0, rise) for rise in (a, -a)])
+        points = np.stack([s * np.cos(a), 0.06 + s * np.sin(a), np.zeros(len(s))], axis=1)
+        theirs = middle_line(Transducer(), imaging, points, ends, 0.06).max()
+        levels.append([ours, 20 * np.log10(theirs)])
+    ours, theirs = np.transpose(np.array(levels[1:]) - levels[0])
+    assert (theirs > -24).all()
+    assert ours == pytest.approx(theirs, abs=3)
 
 
 def test_needle_has_a_diffuse_floor():
@@ -162,11 +133,8 @@ def test_a_needle_ends_at_its_tip():
 
 def tip_level(parameters, dip_deg, roll_deg=0.0):
     """Peak level in dB around a tip 60 mm deep below the middle of the probe, smooth shaft."""
-    renderer = make_renderer(
-        needle=NeedleEchoParameters(**BARE | parameters, diffuse_db=-200.0),
-        sector=0.4,
-        sample_pitch=0.05e-3,
-    )
+    echo = NeedleEchoParameters(**BARE | parameters, diffuse_db=-200.0)
+    renderer = make_renderer(needle=echo, sector=0.4, sample_pitch=0.05e-3)
     dip, tip = np.deg2rad(dip_deg), np.array([0.0, 0, -0.16])
     along = np.array([np.cos(dip), 0, -np.sin(dip)])
     needle = Needle(np.array([tip - 0.05 * along, tip]), 0.635e-3, roll=np.deg2rad(roll_deg))
@@ -207,8 +175,8 @@ def test_a_bevel_is_a_mirror_of_its_own():
 
 def test_a_tip_shows_best_with_its_bevel_towards_the_probe_or_away_from_it():
     """As Hopkins and Bradley (2001) saw; their beam met the needle at 20 and 60 deg."""
-    levels = {roll: tip_level({}, 20.0, roll)[0] for roll in (0, 60, 90, 120, 180)}
-    assert max(levels[0], levels[180]) > max(levels[60], levels[90], levels[120])
+    levels = {roll: tip_level({}, 20.0, roll)[0] for roll in (0, 60, 120, 180)}
+    assert max(levels[0], levels[180]) > max(levels[60], levels[120])
     assert levels[180] == max(levels.values())
 
 

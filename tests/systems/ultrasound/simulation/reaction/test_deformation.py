@@ -5,30 +5,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
-from renderers import CLEAN
+from renderers import CLEAN, NOWHERE
 from speckle_motion import speckle_motion
 
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
-from sonoservo.systems.ultrasound.simulation.reaction.deformation import (
-    Deformation,
-    indentation,
-)
+from sonoservo.systems.ultrasound.simulation.reaction.deformation import Deformation, indentation
 from sonoservo.systems.ultrasound.simulation.rendering import SweepRenderer
-from sonoservo.systems.ultrasound.simulation.structures.kinds import (
-    Calcification,
-    Fascia,
-    FatLayer,
-    RestingNeedle,
-    Vessel,
-)
+from sonoservo.systems.ultrasound.simulation.structures.kinds import Calcification, FatLayer, Vessel
 from sonoservo.systems.ultrasound.simulation.tissue import Ball, Tissue
 from sonoservo.systems.ultrasound.transducer import Transducer
 
 DOWN = RotationMatrix(RollPitchYaw(-np.pi / 2, 0, 0))
 PRESSED = RigidTransform(DOWN, [0, 0, -4e-3])
 PRESSING = Deformation(indentation(PRESSED, 33e-3))
-NONE = Needle(np.zeros((0, 3)), 0.635e-3)
 ALONG = np.array([[-0.06, 0, -0.035], [0.02, 0, -0.035]])
 IMAGING = ImagingParameters(frames=3, volume_rate=10, depth=0.07, sector=0.6)
 
@@ -118,22 +108,16 @@ def test_needle_moves_with_the_tissue_pressed_by_the_probe_but_not_by_its_own_pu
     assert -1.6e-3 < middle + 0.035 < -0.9e-3
     assert abs(moved.shaft[0, 2] + 0.035) < 0.5e-3
     assert Deformation(shaft=ALONG, drag=1e-3).moved_needle(needle) is needle
-    assert pushing.moved_needle(NONE) is NONE
+    assert pushing.moved_needle(NOWHERE) is NOWHERE
 
 
-def test_undeformed_tissue_looks_as_if_nothing_could_deform_it(renderer):
-    np.testing.assert_array_equal(
-        np.abs(image(renderer, Deformation()) - image(renderer)) < 1e-3, True
-    )
-
-
-@pytest.mark.parametrize(("line", "depth"), [(49, 0.02), (49, 0.035), (25, 0.03), (20, 0.05)])
+@pytest.mark.parametrize(("line", "depth"), [(49, 0.02), (20, 0.05)])
 def test_speckle_moves_with_the_indentation(renderer, line, depth):
     across, down = check_motion(renderer, PRESSING, line, depth)
     assert np.hypot(across, down) > 0.6e-3
 
 
-@pytest.mark.parametrize("drag", [0.5e-3, 1e-3, -2e-3])
+@pytest.mark.parametrize("drag", [0.5e-3, -2e-3])
 def test_speckle_beside_the_needle_moves_with_the_drag(renderer, drag):
     deformation = Deformation(shaft=ALONG, drag=drag)
     for depth in (0.027, 0.037):
@@ -154,20 +138,13 @@ def test_speckle_gives_way_to_a_needle_through_the_image(renderer, depth, way):
     assert measured == pytest.approx(expected, abs=0.1e-3)
 
 
-@pytest.mark.slow
-def test_speckle_moves_with_the_indentation_behind_fat():
-    fat = make_renderer(Tissue(seed=1, fat=FatLayer(thickness=0.01)))
-    check_motion(fat, PRESSING, fat.geometry.lines // 2, 0.04)
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "contents",
     [
         {"balls": [Ball(centre=[0.004, 0, -0.03], radius=0.5e-3, level_db=40)]},
         {"structures": [Calcification(centre=[0.004, 0, -0.03], radius=0.6e-3, level_db=50)]},
-        {"structures": [RestingNeedle(start=[0.004, -0.03, -0.03], end=[0.004, 0.03, -0.03])]},
     ],
+    ids=["ball", "calcification"],
 )
 def test_bright_objects_move_with_the_tissue(contents):
     own = make_renderer(Tissue(seed=1, **contents))
@@ -187,25 +164,6 @@ def test_bright_objects_move_with_the_tissue(contents):
     assert abs(down) < 0.1e-3
 
 
-@pytest.mark.slow
-def test_a_sheet_bends_under_the_probe():
-    """A level sheet stays perpendicular to the sound in the middle, and is hidden at the sides."""
-    own, bare = (
-        make_renderer(Tissue(seed=1, structures=each))
-        for each in ([Fascia(centre=[0, 0, -0.02], wave_height=0)], [])
-    )
-    pitch = own.geometry.sample_pitch
-    sheets = [np.abs(image(own, each) - image(bare, each)) for each in (Deformation(), PRESSING)]
-    middle = own.geometry.lines // 2
-    depths = []
-    for sheet in sheets:
-        echo, peak = sheet[middle] ** 2, sheet[middle].argmax()
-        near = np.arange(peak - 6, peak + 7)  # a sample is 0.3 mm deep, the pulse some four
-        depths.append(pitch * np.average(near, weights=echo[near]))
-    moved = PRESSING.moved(np.array([[0, 0, -0.02]]))[0, 2] + 0.02
-    assert depths[1] - depths[0] == pytest.approx(-moved, abs=0.1e-3)
-
-
 def test_blood_decorrelates_as_it_passes_through_the_beam():
     speed = 2e-3
     vessel = Vessel(
@@ -220,7 +178,7 @@ def test_blood_decorrelates_as_it_passes_through_the_beam():
         np.abs(own.geometry.sample_pitch * np.arange(own.geometry.samples) - 0.06).argmin()
     ]
     at_rest = image(own, times=np.zeros(3))
-    for time in (0.2, 0.4, 0.8):
+    for time in (0.2, 0.8):
         later = image(own, times=np.full(3, time))
         a, b = at_rest[lumen], later[lumen]
         found = abs(np.vdot(a, b)) / np.sqrt(np.vdot(a, a).real * np.vdot(b, b).real)
@@ -228,3 +186,9 @@ def test_blood_decorrelates_as_it_passes_through_the_beam():
         assert found == pytest.approx(expected, abs=0.1)
         # The tissue around it is at rest.
         np.testing.assert_allclose(later[:, : middle - 3 * half], at_rest[:, : middle - 3 * half])
+
+
+@pytest.mark.slow
+def test_speckle_moves_with_the_indentation_behind_fat():
+    fat = make_renderer(Tissue(seed=1, fat=FatLayer(thickness=0.01)))
+    check_motion(fat, PRESSING, fat.geometry.lines // 2, 0.04)

@@ -2,14 +2,11 @@
 
 import numpy as np
 import pytest
-from pydrake.common.value import Value
 from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import DiagramBuilder, LeafSystem
-from renderers import CLEAN
-from speckle_motion import speckle_motion
+from pydrake.systems.framework import DiagramBuilder
+from renderers import CLEAN, NOWHERE, World
 
-from sonoservo.systems.robot.phantom_motion import Breathing
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
 from sonoservo.systems.ultrasound.simulation.reaction.tissue_reaction import (
@@ -25,7 +22,6 @@ from sonoservo.systems.ultrasound.simulation.tissue import Tissue
 from sonoservo.systems.ultrasound.transducer import Transducer
 
 PRESSED = RigidTransform(RotationMatrix(RollPitchYaw(-np.pi / 2, 0, 0)), [0, 0, -4e-3])
-NONE = Needle(np.zeros((0, 3)), 0.635e-3)
 DRAG = NeedleDragParameters(distance=1e-3, slip_time=0.1)
 IMAGING = ImagingParameters(sector=0.4, depth=0.05, frames=3, volume_rate=8)
 
@@ -34,31 +30,16 @@ def pushed(time):
     """A needle that enters at 0.5 s, at 8 mm/s, and stops at 2 s."""
     depth = 8e-3 * (min(time, 2.0) - 0.5)
     if depth <= 0:
-        return NONE
+        return NOWHERE
     return Needle(np.array([[-0.008, 0, -0.03], [depth - 0.008, 0, -0.03]]), 0.6e-3)
 
 
-class World(LeafSystem):
-    """Poses and needle as functions of time."""
-
-    def __init__(self, X_WT=lambda t: RigidTransform(), needle=pushed):
-        super().__init__()
-        for name, model, value in (
-            ("true_X_WP", RigidTransform(), lambda t: PRESSED),
-            ("X_WT", RigidTransform(), X_WT),
-            ("pushed_needle", NONE, needle),
-        ):
-            self.DeclareAbstractOutputPort(
-                name,
-                (Value[object] if name == "pushed_needle" else Value)(model).Clone,
-                lambda context, output, value=value: output.set_value(value(context.get_time())),
-            )
-
-
-def simulated(parameters, world=None, scanner=None):
+def simulated(parameters, scanner=None):
     """Simulator of a reacting tissue, and a function that reads a port of it or of the scanner."""
     builder = DiagramBuilder()
-    world = builder.AddSystem(world or World())
+    still = RigidTransform()
+    poses = {"true_X_WP": lambda t: PRESSED, "X_WT": lambda t: still}
+    world = builder.AddSystem(World(**poses, pushed_needle=pushed))
     reaction = builder.AddSystem(TissueReaction(parameters=parameters, dome_radius=33e-3))
     for name in ("true_X_WP", "X_WT", "pushed_needle"):
         builder.Connect(world.GetOutputPort(name), reaction.GetInputPort(name))
@@ -106,18 +87,10 @@ def test_needle_and_deformation_are_those_of_the_pure_functions():
     assert read("needle").tip[2] < needle.tip[2] - 0.5e-3
 
 
-def make_scanner():
-    return Scanner(
-        transducer=Transducer(),
-        imaging=IMAGING,
-        tissue=Tissue(seed=1),
-        parameters=CLEAN,
-        seed=7,
-    )
-
-
 def test_scanner_shows_the_tissue_and_the_needle_where_they_truly_are():
-    scanner = make_scanner()
+    scanner = Scanner(
+        transducer=Transducer(), imaging=IMAGING, tissue=Tissue(seed=1), parameters=CLEAN, seed=7
+    )
     parameters = TissueReactionParameters(indentation=True)
     simulator, read = simulated(parameters, scanner=scanner)
     simulator.AdvanceTo(2.01)
@@ -131,37 +104,12 @@ def test_scanner_shows_the_tissue_and_the_needle_where_they_truly_are():
     assert echo[2] - needle.radius == pytest.approx(truth, abs=0.3e-3)
 
 
-def test_speckle_breathes_as_commanded():
-    breathing = Breathing(peak_to_peak=0.01, rate=0.3, direction=[0.6, 0, -0.8])
-    scanner = make_scanner()
-    world = World(lambda t: RigidTransform(breathing.displacement(t)), lambda t: NONE)
-    simulator, read = simulated(TissueReactionParameters(), world, scanner)
-    simulator.AdvanceTo(0.63)
-    first = read("sweep")
-    simulator.AdvanceTo(0.88)
-    second = read("sweep")
-    geometry = scanner.geometry
-    assert first.motion.direction == second.motion.direction
-    moved = breathing.displacement(second.motion.times[1]) - breathing.displacement(
-        first.motion.times[1]
-    )
-    assert np.linalg.norm(moved) > 1.5e-3
-    line, depth = geometry.lines // 2, 0.03
-    sample = round(depth / geometry.sample_pitch)
-    width = geometry.line_pitch * (geometry.array_radius + depth)
-    start = np.round([moved[0] / width, -moved[2] / geometry.sample_pitch]).astype(int)
-    before, after = (10 ** (each.samples[1] / 100) for each in (first, second))
-    lines, samples, _ = speckle_motion(before, after, line, sample, (4, 10), (4, 10), start)
-    assert lines * width == pytest.approx(moved[0], abs=0.3e-3)
-    assert samples * geometry.sample_pitch == pytest.approx(-moved[2], abs=0.1e-3)
-
-
 STICKY = NeedleDragParameters(distance=1e-3, kept=0.6, slip_time=0.1, relaxation_time=1e6)
 
 
-def driven(speed, times, parameters, start=None):
+def driven(speed, times, parameters):
     """Drag at rising times from 0 of a needle at constant speed."""
-    drag, now, found = start or Drag(), 0.0, []
+    drag, now, found = Drag(), 0.0, []
     for time in times:
         drag = advance_drag(drag, speed * (time - now), time - now, parameters)
         now = time
@@ -183,16 +131,6 @@ def test_result_does_not_depend_on_the_steps():
     coarse = np.array([0.7, 1.9, 3.3])
     fine = driven(8e-3, np.arange(1, 331) / 100, parameters)
     np.testing.assert_allclose(driven(8e-3, coarse, parameters), fine[[69, 189, 329]], atol=1e-12)
-
-
-def test_tissue_relaxes_after_a_stop():
-    parameters = NeedleDragParameters(distance=1e-3, relaxation_time=2.0)
-    start = Drag(0.8e-3)
-    np.testing.assert_allclose(
-        driven(0.0, [1.0, 2.0, 8.0], parameters, start),
-        0.8e-3 * np.exp([-0.5, -1.0, -4.0]),
-        rtol=1e-12,
-    )
 
 
 def test_slow_needle_never_slips_and_a_withdrawn_one_drags_backwards():

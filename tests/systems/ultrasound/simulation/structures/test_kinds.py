@@ -33,14 +33,9 @@ def rendered(*structures, times=0.0, frame=13, **changes):
 
 def mirror(depth, dip_deg=0.0, level_db=30.0):
     return Fascia(
-        centre=at_depth(depth),
-        size=[0.04, 0.04],
-        dip_deg=dip_deg,
-        wave_height=0,
-        level_db=level_db,
-        diffuse_db=-100,
-        shadow=0,
-    )
+        centre=at_depth(depth), size=[0.04, 0.04], dip_deg=dip_deg, wave_height=0,
+        level_db=level_db, diffuse_db=-100, shadow=0,
+    )  # fmt: skip
 
 
 def peak_db(renderer, echo, depth, reach=2e-3):
@@ -50,13 +45,7 @@ def peak_db(renderer, echo, depth, reach=2e-3):
     return 20 * np.log10(line[np.abs(depths - depth) < reach].max() + 1e-12)
 
 
-def test_flat_mirror_has_its_level_at_normal_incidence():
-    renderer, echo, bare = rendered(mirror(0.06))
-    # Wave fronts that are curved in elevation cost a flat mirror up to 2 dB.
-    assert peak_db(renderer, echo - bare, 0.06) == pytest.approx(30, abs=2)
-
-
-@pytest.mark.parametrize("angle_deg", [1, 2, 3])
+@pytest.mark.parametrize("angle_deg", [1, 3])
 def test_mirror_fades_with_the_angle_as_a_gaussian_beam_does(angle_deg):
     """exp(-(2 k sin a)^2 sigma^2 / 2): the Fourier transform of the beam's section."""
     renderer, flat, bare = rendered(mirror(0.06))
@@ -66,19 +55,19 @@ def test_mirror_fades_with_the_angle_as_a_gaussian_beam_does(angle_deg):
     expected = -20 * np.log10(np.e) * (slope * sigma) ** 2 / 2
     # Lines fan out: the beam's own angle is up to a half of the line pitch.
     spread = 20 * np.log10(np.e) * slope * sigma**2 * slope * 0.3 / angle_deg
-    measured = peak_db(renderer, tilted - bare, 0.06) - peak_db(renderer, flat - bare, 0.06)
+    straight = peak_db(renderer, flat - bare, 0.06)
+    # Wave fronts that are curved in elevation cost a flat mirror up to 2 dB.
+    assert straight == pytest.approx(30, abs=2)
+    measured = peak_db(renderer, tilted - bare, 0.06) - straight
     assert measured == pytest.approx(expected, abs=1 + spread)
 
 
 def test_bone_reverberates_at_multiples_of_its_distance_from_the_face():
     depth = 0.022
     bone = Bone(
-        start=at_depth(depth + 0.004, x=-0.03),
-        end=at_depth(depth + 0.004, x=0.03),
-        width=0.3,
-        thickness=0.008,
-        diffuse_db=-100,
-    )
+        start=at_depth(depth + 0.004, x=-0.03), end=at_depth(depth + 0.004, x=0.03), width=0.3,
+        thickness=0.008, diffuse_db=-100,
+    )  # fmt: skip
     renderer, echo, _ = rendered(bone)
     line = np.abs(echo[renderer.geometry.lines // 2])
     pitch = renderer.geometry.sample_pitch
@@ -96,12 +85,9 @@ def test_bone_reverberates_at_multiples_of_its_distance_from_the_face():
 
 def test_bone_casts_a_full_shadow_as_wide_as_itself():
     bone = Bone(
-        start=at_depth(0.034, y=-0.03),
-        end=at_depth(0.034, y=0.03),
-        width=0.016,
-        thickness=0.008,
+        start=at_depth(0.034, y=-0.03), end=at_depth(0.034, y=0.03), width=0.016, thickness=0.008,
         reverberation_db=-100,
-    )
+    )  # fmt: skip
     renderer, echo, bare = rendered(bone)
     geometry = renderer.geometry
     behind = slice(int(0.045 / geometry.sample_pitch), int(0.08 / geometry.sample_pitch))
@@ -116,9 +102,8 @@ def test_bone_casts_a_full_shadow_as_wide_as_itself():
 
 def test_calcification_is_as_bright_as_stated_and_shades():
     grain = Calcification(centre=at_depth(0.06), radius=3e-3, level_db=30, shadow=0.8)
-    _, echo, _ = rendered(grain)
     levels, shares = [], []
-    for seed in range(8):
+    for seed in range(6):
         renderer, echo, bare = rendered(grain, seed=seed)
         middle = renderer.geometry.lines // 2
         levels.append(peak_db(renderer, echo, 0.057))
@@ -130,11 +115,7 @@ def test_calcification_is_as_bright_as_stated_and_shades():
 
 def test_gas_rings_down_20_db_in_its_length():
     gas = Gas(
-        centre=at_depth(0.03),
-        size=[0.04, 0.04],
-        shadow=1,
-        ring_down_db=-20,
-        ring_down_length=0.04,
+        centre=at_depth(0.03), size=[0.04, 0.04], shadow=1, ring_down_db=-20, ring_down_length=0.04
     )
     renderer, echo, _ = rendered(gas)
     pitch = renderer.geometry.sample_pitch
@@ -146,14 +127,11 @@ def test_gas_rings_down_20_db_in_its_length():
 
 def test_lumen_is_dark_and_pulsates_between_bright_walls():
     vessel = Vessel(
-        path=[at_depth(0.05, x=-0.03), at_depth(0.05, x=0.03)],
-        radius=5e-3,
-        pulsation=0.1,
-        heart_rate=1.0,
-        attenuation=DEEP.attenuation,
-    )
+        path=[at_depth(0.05, x=-0.03), at_depth(0.05, x=0.03)], radius=5e-3, pulsation=0.1,
+        heart_rate=1.0, attenuation=DEEP.attenuation,
+    )  # fmt: skip
     walls = {}
-    for time, grown in ((0.0, 0.0), (0.25, 0.5e-3), (0.75, -0.5e-3)):
+    for time, grown in ((0.25, 0.5e-3), (0.75, -0.5e-3)):
         renderer, echo, bare = rendered(vessel, times=time)
         pitch = renderer.geometry.sample_pitch
         middle = renderer.geometry.lines // 2
@@ -170,13 +148,8 @@ def test_lumen_is_dark_and_pulsates_between_bright_walls():
 
 def test_blood_weakens_sound_less_than_tissue():
     """4 (a_tissue - a_blood) f r: both ways through a diameter."""
-    vessel = Vessel(
-        path=[at_depth(0.04, x=-0.05), at_depth(0.04, x=0.05)],
-        radius=8e-3,
-        attenuation=0.1,
-        level_db=-90,
-        pulsation=0,
-    )
+    path = [at_depth(0.04, x=-0.05), at_depth(0.04, x=0.05)]
+    vessel = Vessel(path=path, radius=8e-3, attenuation=0.1, level_db=-90, pulsation=0)
     renderer, echo, bare = rendered(vessel)
     behind = slice(int(0.055 / renderer.geometry.sample_pitch), None)
     gain = np.linalg.norm(echo[15:-15, behind]) / np.linalg.norm(bare[15:-15, behind])

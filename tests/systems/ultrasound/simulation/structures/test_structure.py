@@ -1,16 +1,11 @@
 """Structures from YAML, and beside a needle."""
 
-import dataclasses
-
 import numpy as np
 import pytest
-from renderers import CLEAN
+from renderers import DOWN, make_renderer, shift, still
 
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.typed_yaml import load_typed
-from sonoservo.systems.signals.needle import Needle
-from sonoservo.systems.ultrasound.imaging import ImagingParameters
-from sonoservo.systems.ultrasound.simulation.rendering import SweepRenderer
 from sonoservo.systems.ultrasound.simulation.structures.kinds import (
     Bone,
     Calcification,
@@ -22,7 +17,6 @@ from sonoservo.systems.ultrasound.simulation.structures.kinds import (
 )
 from sonoservo.systems.ultrasound.simulation.structures.structure import BesideNeedle
 from sonoservo.systems.ultrasound.simulation.tissue import Tissue, load_tissue
-from sonoservo.systems.ultrasound.transducer import Transducer
 
 KINDS = [Bone, Vessel, Fascia, Calcification, Gas, NWires, RestingNeedle]
 ENTRY, DIRECTION = [-0.06, 0.01, -0.02], [0.8, 0.1, -0.59]
@@ -34,7 +28,7 @@ def distance_from_axis(point):
     return np.linalg.norm(offset - (offset @ along) * along), offset @ along
 
 
-@pytest.mark.parametrize("angle_deg", [-90, 0, 35, 180])
+@pytest.mark.parametrize("angle_deg", [-90, 35])
 def test_place_beside_needle(angle_deg):
     beside = BesideNeedle(distance=3e-3, along=0.05, angle_deg=angle_deg)
     place = beside.resolve(ENTRY, DIRECTION, 1e-3)
@@ -51,17 +45,6 @@ def test_any_structure_goes_beside_the_needle(kind):
     distance, along = distance_from_axis(placed.middle)
     assert distance == pytest.approx(2e-3 + placed.reach)
     assert along == pytest.approx(0.04)
-
-
-def test_placement_needs_a_needle():
-    with pytest.raises(ValueError, match="beside_needle.*placed by the way of a needle"):
-        SweepRenderer(
-            transducer=Transducer(),
-            imaging=ImagingParameters(),
-            tissue=Tissue(structures=[Gas(beside_needle=BesideNeedle())]),
-            parameters=CLEAN,
-            seed=0,
-        )
 
 
 def test_structures_come_from_yaml():
@@ -87,11 +70,8 @@ def test_structures_come_from_yaml():
     ("structure", "message"),
     [
         ({"kind": "bones"}, "unknown kind 'bones'; did you mean 'bone'"),
-        ({"kind": "vessel", "radius": -1}, "radius: -1.0 is not allowed"),
         ({"kind": "vessel", "path": [[0, 0, 0]]}, "path.*at least two points"),
         ({"kind": "calcification", "centre": [0, 0, -40]}, "centre: .*three coordinates in m"),
-        ({"kind": "needle", "diameter": 1.27}, "diameter: 1.27.*at most 0.005 m"),
-        ({"kind": "gas", "beside_needle": {"distance": 3}}, "distance: 3.0.*from 0 to 0.2"),
     ],
 )
 def test_what_is_out_of_range_is_named(structure, message):
@@ -142,20 +122,15 @@ def test_a_seed_draws_the_layout_and_those_held_out_are_mirrored():
 
 def test_resting_needle_echoes_as_one_in_the_hand():
     resting = RestingNeedle(start=[-0.03, 0, -0.045], end=[0.01, 0, -0.045])
-    renderers = [
-        SweepRenderer(
-            transducer=Transducer(),
-            imaging=ImagingParameters(sector=0.3, frames=3, volume_rate=10),
-            tissue=Tissue(structures=structures),
-            parameters=CLEAN,
-            seed=0,
-        )
-        for structures in ([resting], [])
-    ]
-    X = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1.0]])
-    X = np.repeat(X[np.newaxis], 3, axis=0)
-    there = renderers[0].tissue_echo(X, 1)
-    held = renderers[1].echo(X, [resting.needle()] * 3, 1)
+    few = {"sector": 0.3, "frames": 3, "volume_rate": 10}
+    with_it, without = (make_renderer(Tissue(structures=each), **few) for each in ([resting], []))
+    X = still(with_it, shift(0, 0, 0.1) @ DOWN)
+    there = with_it.tissue_echo(X, 1)
+    held = without.echo(X, [resting.needle()] * 3, 1)
     levels = [np.sort(np.abs(echo).ravel())[-200:].mean() for echo in (there, held)]
     assert 20 * np.log10(levels[0] / levels[1]) == pytest.approx(0, abs=1.5)
-    assert isinstance(dataclasses.replace(resting).needle(), Needle)
+
+
+def test_placement_needs_a_needle():
+    with pytest.raises(ValueError, match="beside_needle.*placed by the way of a needle"):
+        make_renderer(Tissue(structures=[Gas(beside_needle=BesideNeedle())]))
