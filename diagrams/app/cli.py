@@ -5,6 +5,7 @@ A command imports what it needs only when it is called, so that help appears at 
 
 import os
 import re
+import shlex
 import sys
 import traceback
 from collections.abc import Callable, Sequence
@@ -247,7 +248,8 @@ def drive_command(
     act = partial(
         drive, following, pages.console, meshcat=pages.meshcat, out=folder, progress=console
     )
-    again = f"To repeat this run: sonoservo run {folder / 'scenario.yaml'}"
+    path = shlex.quote(str(folder / "scenario.yaml"))
+    again = f"To repeat this run: sonoservo run {path}"
     end_run(
         _carry_out(
             act, following, folder, viewed, serve, page, pages, results, how=DRIVING, again=again

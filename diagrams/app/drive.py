@@ -183,6 +183,7 @@ def drive(
             said = "; ".join(filter(None, ["paused" if pacer.paused else pacer.pace, hint]))
             for each in shown:
                 each(experiment.time, said)
+        console.say(note="writing the results")
 
     return kept.carry_out(simulate, begin=set_aside, bar=bar)
 

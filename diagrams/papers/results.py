@@ -155,7 +155,8 @@ def results_table(kept: Mapping[str, Any], rows: str) -> str:
     """
     numbers = sorted({len(seeds) for seeds in kept["seeds"].values()})
     seeds = " to ".join(map(str, dict.fromkeys((numbers[0], numbers[-1]))))
-    source = f"Commit {kept['commit'][:10]}, `{kept['command']}`, {seeds} seeds an experiment"
+    seeds += " seeds" if numbers[-1] > 1 else " seed"
+    source = f"Commit {kept['commit'][:10]}, `{kept['command']}`, {seeds} an experiment"
     changed = CHANGED if kept.get("outdated") else ""
     for each in kept.get("repeats", ()):
         changed += (

@@ -78,7 +78,7 @@ def explain_command(
     if time is None:
         rows = explained_run.rows()
         console.print(explanation_table(rows))
-        say(f"Draw one of them: sonoservo explain {folder} --time T")
+        say(f"Draw one of them: sonoservo explain {shlex.quote(str(folder))} --time T")
         write_printed(printed.json_path, rows)
         return
     explained = explained_run.nearest(time)
@@ -137,4 +137,4 @@ def new_command(
     load_scenario(scenario)
     source = list_scenarios().get(scenario, Path(scenario))
     write_atomically(path, source.read_text(encoding="utf-8"))
-    say(f"Written: {path}. Change it, then: sonoservo run {path}")
+    say(f"Written: {path}. Change it, then: sonoservo run {shlex.quote(str(path))}")

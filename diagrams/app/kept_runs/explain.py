@@ -1,5 +1,6 @@
 """Explanations of a tracker's decisions in the kept volumes of a run, as a table and as figures."""
 
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -70,7 +71,8 @@ class ExplainedRun:
         if not times[0] - _TOLERANCE <= time <= times[-1] + _TOLERANCE:
             raise ConfigurationError(
                 f"time: {time:g} s is outside; {self.folder} has explanations from "
-                f"{times[0]:.2f} to {times[-1]:.2f} s (list them: sonoservo explain {self.folder})"
+                f"{times[0]:.2f} to {times[-1]:.2f} s "
+                f"(list them: sonoservo explain {shlex.quote(str(self.folder))})"
             )
         return self.kept[int(np.abs(times - time).argmin())]
 
@@ -84,14 +86,12 @@ class ExplainedRun:
 
 def read_explained_run(folder: Path) -> ExplainedRun:
     """Read the explained volumes of a run; a ConfigurationError says what to do without any."""
+    make = f"sonoservo run SCENARIO --explain --out {shlex.quote(str(folder))}"
     if not folder.is_dir():
-        raise ConfigurationError(
-            f"there is no folder {folder}; make it: sonoservo run SCENARIO --explain --out {folder}"
-        )
+        raise ConfigurationError(f"there is no folder {folder}; make it: {make}")
     if not (folder / FOLDER).is_dir():
         raise ConfigurationError(
-            f"{folder} has no explanations; repeat the run with --explain "
-            f"(sonoservo run SCENARIO --explain --out {folder})"
+            f"{folder} has no explanations; repeat the run with --explain ({make})"
         )
     with refusing_values():
         kept = read_explanations(folder)

@@ -168,7 +168,7 @@ def test_results_that_cannot_be_written_are_one_line_and_exit_code_2(tmp_path):
         (
             ["chatelain2013", "--repeat", "2"],
             "--repeat: it takes the kept runs as they are; leave out --quick, --seeds, "
-            "--first-seed, --only, --finished, --keep and --out",
+            "--first-seed, --only, --finished and --out",
         ),
     ],
 )

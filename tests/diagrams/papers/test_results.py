@@ -74,7 +74,7 @@ def test_records_are_kept_and_become_tables(study, house):
     results.keep_records({"chatelain2013": study.outcomes}, "sonoservo reproduce all")
     text = page.read_text()
     assert (
-        "Commit abc, `sonoservo reproduce all`, 1 seeds an experiment: 1 of 2 targets met." in text
+        "Commit abc, `sonoservo reproduce all`, 1 seed an experiment: 1 of 2 targets met." in text
     )
     assert "| fig5: at rest (mm) | 1.10 | 0.500 | 0.600 (0.400 to 0.700) | 2.50 |" in text
     assert "times lost" not in text  # no figure of the paper
