@@ -1,6 +1,7 @@
 """The environment: Gymnasium's own check, repetition bit for bit, ends, and vectors."""
 
 import sys
+from collections import Counter
 from functools import partial
 
 import gymnasium
@@ -74,6 +75,24 @@ def test_random_actions_end_in_no_error_and_below_the_limit_of_the_force():
             ends.add(info["end"])
             env.reset()
     assert ends <= {"lost", "stopped", "reached"}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(100, 110))
+def test_ten_thousand_random_actions_end_in_no_error(seed):
+    env, rng = make(randomize=1.0), np.random.default_rng(seed)
+    env.reset(seed=seed)
+    largest, ends, action = 0.0, Counter(), np.zeros(4, np.float32)
+    for _ in range(1000):
+        if rng.random() < 0.3:  # kept for a second: what is drawn anew each time leads nowhere
+            action = rng.choice([rng.uniform(-1, 1, 4), rng.choice([-1, 1], 4)]).astype(np.float32)
+        *_, ended, cut, info = env.step(action)
+        largest = max(largest, info["contact_force"])
+        if ended or cut:
+            ends[info.get("end") or "cut"] += 1
+            env.reset()
+    print(f"seed {seed}: {largest:.2f} N, {dict(ends)}")
+    assert largest < 10  # the guard's limit
 
 
 @pytest.mark.slow

@@ -4,6 +4,7 @@ import json
 import resource
 import socket
 import threading
+import time
 
 import numpy as np
 from live_items import X, make_estimate, make_volume, wait_until
@@ -122,6 +123,38 @@ def test_all_volumes_of_a_good_peer_come_through_beside_64_hostile_ones():
     assert all(line.isprintable() for line in lines), lines
     assert most < 200
     assert len(lines) < 100 + count / 10
+
+
+@pytest.mark.slow
+def test_20_volumes_a_second_for_five_minutes_without_growth_of_memory():
+    seconds, rate = 300, 20
+    volume = make_volume(shape=(128, 120, 96))
+    memory, came = [], 0
+    with Link(parse_address("igtl://:0"), report=print) as server:
+        address = parse_address(f"igtl://localhost:{server.port}")
+        with LiveSource(address, keep=4, report=print) as source:
+            wait_until(lambda: server.peers)
+
+            def send():
+                start = time.perf_counter()
+                for number in range(seconds * rate):
+                    time.sleep(max(0.0, start + number / rate - time.perf_counter()))
+                    sent = type(volume)(
+                        volume.intensities, volume.origin, volume.spacing, X, 1.0 + number / rate
+                    )
+                    server.send(volume_items(sent), topic="volume", keep=2)
+
+            thread = threading.Thread(target=send)
+            thread.start()
+            while thread.is_alive() or source.take(0.5):
+                came += bool(source.take(0.5))
+                memory.append(resource_in_use())
+            thread.join()
+    settled = memory[len(memory) // 5 :]
+    growth = np.polyfit(np.arange(len(settled)), settled, 1)[0] * len(settled)
+    print(f"{came} of {seconds * rate} volumes, {source.dropped} dropped here, {growth:.1f} MB")
+    assert came > 0.98 * seconds * rate
+    assert growth < 5
 
 
 def resource_in_use():

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import resource
 import time
 from dataclasses import dataclass
 
@@ -217,6 +218,31 @@ def test_a_registered_tracker_needs_an_estimate_only(tmp_path, volumes, monkeypa
 def test_choices_are_checked(choice, message):
     with pytest.raises(ConfigurationError, match=message):
         tracker_parameters(**choice)
+
+
+@pytest.mark.slow
+def test_a_thousand_volumes_leave_the_memory_flat(tmp_path):
+    """200 MB of volumes; what is held grows by the estimates only."""
+    shape = (60, 60, 56)
+    noise = np.random.default_rng(0).integers(1, 90, shape).astype(np.uint8)
+    path = tmp_path / "long.seq.nrrd"
+    header = (
+        "NRRD0004\ntype: uint8\ndimension: 4\nspace: LPS\nsizes: 60 60 56 1000\n"
+        "space directions: (1,0,0) (0,1,0) (0,0,1) none\nkinds: domain domain domain list\n"
+        'labels: "" "" "" "time"\nencoding: raw\n'
+        f"axis 3 index values:={' '.join(str(0.2 * k) for k in range(1000))}\n\n"
+    )
+    with path.open("wb") as file:
+        file.write(header.encode())
+        for k in range(1000):
+            file.write(np.roll(noise, k % 7, axis=0).tobytes())
+    used = {}
+
+    def note(number, estimate):
+        used[number] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+
+    track_recording(Recording(path), after_volume=note)
+    assert used[999] - used[100] < 15e3  # kB
 
 
 def test_what_a_user_knows_about_the_probe_and_the_needle_is_taken():
