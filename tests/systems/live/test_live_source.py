@@ -7,6 +7,7 @@ import threading
 import time
 
 import numpy as np
+import pytest
 from live_items import X, make_estimate, make_volume, wait_until
 
 from sonoservo.systems.live import Link, LiveSource, NeedleNames, parse_address
