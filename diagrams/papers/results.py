@@ -20,7 +20,7 @@ from typing import Any
 
 from numba import config
 
-from sonoservo.diagrams.studies.fingerprint import OLD, RECORDS, code_fingerprint, made_with
+from sonoservo.diagrams.studies.fingerprint import RECORDS, code_fingerprint, made_with
 from sonoservo.diagrams.studies.records import (
     Records,
     present_commit,
@@ -75,7 +75,6 @@ def keep_records(outcomes: Mapping[str, Sequence[Outcome]], command: str) -> Non
         raise ConfigurationError("--keep: results are kept in a checkout of the repository only")
     for name, each in outcomes.items():
         write_records(_folder(name) / RECORDS, each, command)
-        (_folder(name) / OLD).unlink(missing_ok=True)
     kept_results.cache_clear()
     write_tables()
 
@@ -84,23 +83,20 @@ def keep_records(outcomes: Mapping[str, Sequence[Outcome]], command: str) -> Non
 def kept_results(paper: str) -> dict[str, Any] | None:
     """Return a study's kept results as in study.json, by the present definitions; None if none."""
     records = kept_records(paper)
-    if records is not None:
-        report = import_module(
-            f"sonoservo.diagrams.{study_room(paper)}.{paper}.reproduction"
-        ).report
-        study: Study = report(records.outcomes)
-        kept = _content(paper).get("repeats", ())
-        repeats = [each for each in kept if each["code"] == _present_code(each["code"])]
-        made = {
-            "commit": records.commit,
-            "outdated": records.is_outdated and not repeats,
-            "repeats": repeats,
-        }
-        return study.as_json(records.command) | made
-    old = _folder(paper) / OLD
-    if not old.is_file():
+    if records is None:
         return None
-    return {**json.loads(old.read_text(encoding="utf-8")), "outdated": True}
+    room = study_room(paper)
+    study: Study = import_module(f"sonoservo.diagrams.{room}.{paper}.reproduction").report(
+        records.outcomes
+    )
+    kept = _content(paper).get("repeats", ())
+    repeats = [each for each in kept if each["code"] == _present_code(each["code"])]
+    made = {
+        "commit": records.commit,
+        "outdated": records.is_outdated and not repeats,
+        "repeats": repeats,
+    }
+    return study.as_json(records.command) | made
 
 
 def kept_records(paper: str) -> Records | None:

@@ -1,6 +1,5 @@
 """Kept results, and the tables that show them."""
 
-import json
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -82,13 +81,6 @@ def test_records_are_kept_and_become_tables(study, house):
     assert text.endswith("-->\nb\n")
     ((outcome,),) = seen  # to six digits
     assert outcome == replace(study.outcomes[0], result={"x": 0.333333})
-
-
-def test_figures_without_records_are_outdated(data, house):
-    folder, _ = house
-    old = folder / "diagrams" / "papers" / "chatelain2013" / "results.json"
-    old.write_text(json.dumps({key: data[key] for key in data if key != "outdated"}))
-    assert "has changed since" in results.with_tables((folder / "page.md").read_text())
 
 
 def test_only_records_of_the_present_committed_code_are_kept(study, house, monkeypatch):
