@@ -248,8 +248,8 @@ def drive_command(
     act = partial(
         drive, following, pages.console, meshcat=pages.meshcat, out=folder, progress=console
     )
-    path = shlex.quote(str(folder / "scenario.yaml"))
-    again = f"To repeat this run: sonoservo run {path}"
+    command = shlex.join(["sonoservo", "run", str(folder / "scenario.yaml")])
+    again = f"To repeat this run: {command}"
     end_run(
         _carry_out(
             act, following, folder, viewed, serve, page, pages, results, how=DRIVING, again=again

@@ -71,8 +71,7 @@ _MAIN_FIGURES = {
 
 def keep_records(outcomes: Mapping[str, Sequence[Outcome]], command: str) -> None:
     """Keep records of runs in the packages that made them, and write the tables made of them."""
-    if not (_ROOT / "pyproject.toml").is_file():
-        raise ConfigurationError("--keep: results are kept in a checkout of the repository only")
+    _require_checkout()
     for name, each in outcomes.items():
         write_records(_folder(name) / RECORDS, each, command)
     kept_results.cache_clear()
@@ -107,9 +106,10 @@ def kept_records(paper: str) -> Records | None:
 def keep_repeat(name: str, runs: int) -> None:
     """Keep beside a study's records that so many of its runs, made again now, gave the same.
 
-    The tables then say so, and no longer that the code has changed. ConfigurationError if the
-    present code is not committed.
+    The tables then say so, and no longer that the code has changed. ConfigurationError outside a
+    checkout, or if the present code is not committed.
     """
+    _require_checkout()
     path, commit = _folder(name) / RECORDS, present_commit()
     if commit.endswith("+"):
         raise ConfigurationError(f"--keep: the code of {commit} was not committed")
@@ -125,6 +125,11 @@ def keep_repeat(name: str, runs: int) -> None:
     write_atomically(path, gzip.compress(text.encode(), mtime=0))
     kept_results.cache_clear()
     write_tables()
+
+
+def _require_checkout() -> None:
+    if not (_ROOT / "pyproject.toml").is_file():
+        raise ConfigurationError("--keep: results are kept in a checkout of the repository only")
 
 
 def _present_code(modules: Iterable[str]) -> dict[str, str]:

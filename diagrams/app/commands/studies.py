@@ -312,6 +312,7 @@ def benchmark_command(
     if not makes and (formats or store):
         raise ConfigurationError("--format, --store: only for `sonoservo benchmark make`")
     folder = results.out or Path("out") / ("benchmark_volumes" if makes else "benchmark")
+    command = shlex.join(["sonoservo", *sys.argv[1:]])
     with opened(workers) as executor:
         options = BenchmarkOptions(
             folder=folder,
@@ -332,13 +333,13 @@ def benchmark_command(
             write_printed(results.json_path, [dict(each.result) for each in outcomes if each])
         else:
             result = run_benchmark(names, options)
-            write_benchmark(result, folder, shlex.join(["sonoservo", *sys.argv[1:]]))
+            write_benchmark(result, folder, command)
             console.print(benchmark_table(result.data).transposed().terminal(widest=None))
             say_report(folder)
             write_printed(results.json_path, result.data)
             failed = result.failed
             if keep:
-                keep_records({BENCHMARK: result.outcomes}, shlex.join(["sonoservo", *sys.argv[1:]]))
+                keep_records({BENCHMARK: result.outcomes}, command)
     for each in failed:
         console.print(f"{each.case.experiment}, seed {each.case.seed}: {each.error}")
     if failed:

@@ -158,3 +158,6 @@ def test_a_repeat_of_some_runs_says_that_other_code_gives_the_same_figures(
     monkeypatch.setattr(results, "present_commit", lambda: "def+")
     with pytest.raises(ConfigurationError, match="not committed"):
         results.keep_repeat("chatelain2013", 20)
+    (house[0] / "pyproject.toml").unlink()
+    with pytest.raises(ConfigurationError, match="in a checkout"):
+        results.keep_repeat("chatelain2013", 20)

@@ -137,6 +137,12 @@ def test_no_other_point_is_closer_than_the_median(points):
     assert cost(median, points) <= best + 1e-5
 
 
+def test_median_from_a_start_at_a_point_that_is_not_the_median():
+    points = np.array([[0, 0.0], [-3, 0], [-3, 0], [-3, 0], [-3, 0], [12, 0]])
+    np.testing.assert_array_equal(points.mean(axis=0), points[0])
+    np.testing.assert_allclose(geometric_median(points), [-3, 0], atol=1e-3)
+
+
 def test_median_of_one_point_of_coincident_ones_and_of_none():
     np.testing.assert_array_equal(geometric_median([[1.0, 2, 3]]), [1, 2, 3])
     np.testing.assert_allclose(geometric_median(np.ones((5, 3))), 1)
