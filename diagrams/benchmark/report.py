@@ -13,9 +13,10 @@ from sonoservo.diagrams.benchmark.entrants import sequence_name
 from sonoservo.diagrams.benchmark.scores import BINS, FIGURES
 from sonoservo.diagrams.benchmark.sequence import load_suites
 from sonoservo.diagrams.studies.study import Outcome
+from sonoservo.diagrams.studies.study_report import interval_text
 from sonoservo.systems.evaluation.reports.plots import png
 from sonoservo.systems.evaluation.reports.report import picture, web_page
-from sonoservo.systems.evaluation.table import Table
+from sonoservo.systems.evaluation.table import Table, cell_text
 from sonoservo.systems.files.writing import write_atomically, write_json
 
 _WORST = 4  # number of a tracker's worst sequences that the page shows
@@ -76,7 +77,7 @@ def _share(point: Mapping[str, Any] | None) -> str:
     if point is None:
         return ""
     share, low, high = (100 * point[key] for key in ("share", "low", "high"))
-    return f"{share:.1f} % ({low:.1f} to {high:.1f}) of {point['volumes']}"
+    return f"{cell_text(share)} % ({interval_text(low, high)}) of {point['volumes']}"
 
 
 def kept_markdown(outcomes: Sequence[Outcome]) -> str:
