@@ -30,14 +30,18 @@ _NOTHING, _SPREAD = 2.2, 0.25
 """Standard deviation of the contrast in dB where there is no needle, and by how much more a
 needle's deviates from its level so far, per dB of that level: it flashes, fades and hides."""
 
-_RARE, _RARE_STD, _RARE_SPREAD = 0.06, 5.0, 2.3
-"""Share of contrasts that something else explains, their standard deviation in dB where there is no
-needle, and the factor on it along one."""
+_HIDES = 0.2
+"""Mean length in m of a needle between places at which it hides. It hides for `REACH` on average,
+and then shows as bright as before."""
+
+_APART, _LONG, _BRIGHT = 0.1, 0.02, 15.0
+"""Mean distance and length in m of the structures on a line through tissue, and mean and standard
+deviation of their contrast in dB."""
 
 _TREND, _BEFORE = 5e-3, 1e-3
 """Length in m along which a needle's level so far is remembered to 1/e, and its distance from
-there. This length, `_NOTHING` and `_SPREAD` are fitted by ``python -m tip_study.levels``
-(tests/tools)."""
+there. This length, `_HIDES`, `_NOTHING` and `_SPREAD` are fitted by
+``python -m tip_study.levels`` (tests/tools)."""
 
 _MIRROR = 16.0, 24.0
 """Contrasts in dB up to which an end is rough, and above which it mirrors sound."""
@@ -184,8 +188,9 @@ def most_evident_stretch(
 def find_extent(profile: AxisProfile, parameters: TipParameters) -> NeedleExtent | NotFound:
     """Find the ends of a needle along its axis (Chatelain 2013, end of section II-D)."""
     # It begins where the `most_evident_stretch` does. Its tip is a change point: the contrast
-    # follows the needle's level so far, which may fade, up to a blurred end with nothing beyond.
-    # Where the needle has faded before, the contrast does not tell where it ends.
+    # follows the needle's level so far, which may fade, up to a blurred end. The needle may hide
+    # and show again, and beyond its end there may be structures, so what shines beyond a gap is
+    # either: then the contrast does not tell where the needle ends.
     step = float(profile.a[1] - profile.a[0])
     samples = max(1, round(parameters.smoothing / step))
     level = uniform_filter1d(profile.level, samples, mode="nearest")
@@ -234,10 +239,63 @@ def find_extent(profile: AxisProfile, parameters: TipParameters) -> NeedleExtent
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _mixture(contrast: float, mean: float, std: float, rare: float) -> float:  # pragma: no cover
-    """Return the logarithm of a density in 1/dB with heavy tails."""
-    usual = (1 - _RARE) * math.exp(-0.5 * ((contrast - mean) / std) ** 2) / std
-    return math.log(usual + _RARE * math.exp(-0.5 * ((contrast - mean) / rare) ** 2) / rare)
+def _log_density(contrast: float, mean: float, std: float) -> float:  # pragma: no cover
+    return -0.5 * ((contrast - mean) / std) ** 2 - math.log(std)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _needle_logs(  # pragma: no cover - compiled
+    contrast: Any, seen: Any, share: Any, step: float, first: int
+) -> Any:
+    """Return (m + 1,) log likelihoods of the contrasts before each sample along a needle."""
+    m = len(contrast)
+    logs, shown = np.zeros(m + 1), np.ones(m + 1)
+    gap, kept = int(_BEFORE / step), math.exp(-step / _TREND)
+    total, count, end = 0.0, 0.0, first
+    for b in range(first, m):
+        # Its level is that of what has shown so far, so that it outlasts what hides it.
+        while end < min(max(b - gap, first + gap), m):
+            total, count = kept * total, kept * count
+            if seen[end]:
+                total, count = total + shown[end] * contrast[end], count + shown[end]
+            end += 1
+        shows = shown[b - 1] if b > first else 1.0
+        shows += (1 - shows) * step / REACH - shows * step / _HIDES
+        logs[b + 1], shown[b] = logs[b], shows
+        if seen[b]:
+            level = max(total / count, 0.0) if count > 0 else 0.0
+            # What speckle alone would add to the mean is taken off, as in Wiener's filter.
+            level = level**3 / (level**2 + 1.5)
+            std = _NOTHING + _SPREAD * min(level, 16.0)
+            here = share[b] * _log_density(contrast[b], level, std)
+            hidden = share[b] * _log_density(contrast[b], 0.0, _NOTHING)
+            logs[b + 1] += _log_mean(here, hidden, shows)
+            shown[b] = shows * math.exp(here - logs[b + 1] + logs[b])
+    return logs
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _tissue_logs(  # pragma: no cover - compiled
+    contrast: Any, seen: Any, share: Any, step: float
+) -> Any:
+    """Return (m + 1,) log likelihoods of the contrasts from each sample on beyond a needle."""
+    m = len(contrast)
+    logs, structure = np.zeros(m + 1), 0.0
+    for b in range(m - 1, -1, -1):
+        nothing = logs[b + 1]
+        if seen[b]:
+            nothing += share[b] * _log_density(contrast[b], 0.0, _NOTHING)
+            structure += share[b] * _log_density(contrast[b], _BRIGHT, _BRIGHT)
+        logs[b] = _log_mean(structure, nothing, step / _APART)
+        structure = _log_mean(nothing, structure, step / _LONG)
+    return logs
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _log_mean(a: float, b: float, share: float) -> float:  # pragma: no cover - compiled
+    """Return the logarithm of the mean of two numbers, given theirs and the share of the first."""
+    top = max(a, b)
+    return top + math.log(share * math.exp(a - top) + (1 - share) * math.exp(b - top))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -255,39 +313,19 @@ def _end_logs(  # pragma: no cover - compiled
     All are (m,). ``share`` is the evidence of a sample in beam widths, and ``sigma`` the standard
     deviation of the blurred end in m. The contrasts in dB are those shortly before each end.
     """
-    m = len(contrast)
-    needle, nothing = np.zeros(m + 1), np.zeros(m + 1)
+    m, gap = len(contrast), int(_BEFORE / step)
+    needle = _needle_logs(contrast, seen, share, step, first)
+    tissue = _tissue_logs(contrast, seen, share, step)
     logs, tops = np.full(m, -np.inf), np.zeros(m)
-    gap, kept = int(_BEFORE / step), math.exp(-step / _TREND)
-    total, count, end = 0.0, 0.0, first
-    for b in range(first, m):
-        needle[b + 1], nothing[b + 1] = needle[b], nothing[b]
-        while end < min(max(b - gap, first + gap), m):
-            total, count = kept * total, kept * count
-            if seen[end]:
-                total, count = total + contrast[end], count + 1
-            end += 1
-        if seen[b]:
-            level = max(total / count, 0.0) if count > 0 else 0.0
-            # What speckle alone would add to the mean is taken off, as in Wiener's filter.
-            level = level**3 / (level**2 + 1.5)
-            std = _NOTHING + _SPREAD * min(level, 16.0)
-            needle[b + 1] += share[b] * _mixture(contrast[b], level, std, _RARE_SPREAD * std)
-            nothing[b + 1] += share[b] * _mixture(contrast[b], 0.0, _NOTHING, _RARE_STD)
     for t in range(first + 2 * gap, m):
-        count = 0
-        for e in range(max(t - 4 * gap, first), max(t - gap, first + 1)):
-            tops[t] += contrast[e]
-            count += 1
-        tops[t] /= count
+        tops[t] = contrast[max(t - 4 * gap, first) : max(t - gap, first + 1)].mean()
         # A bevel tapers, so what ends is the level within a beam's width of the end.
-        top, begin = 0.0, max(t - int(FWHM_PER_SIGMA * sigma[t] / step), first)
-        for e in range(begin, t):
-            top += contrast[e] / (t - begin)
+        beam = max(int(FWHM_PER_SIGMA * sigma[t] / step), 1)
+        top = contrast[max(t - beam, first) : t].mean()
         mirror = _mirror_share(top)
         begin, end = t - int(sigma[t] / step), min(t + int(3 * sigma[t] / step), m - 1)
         begin = max(begin, first)
-        log = needle[begin] + nothing[m] - nothing[end + 1]
+        log = needle[begin] + tissue[end + 1]
         for b in range(begin, end + 1):
             if seen[b]:
                 # Of points in phase the amplitudes add up, of others the intensities.
@@ -296,7 +334,7 @@ def _end_logs(  # pragma: no cover - compiled
                 intensity = 0.5 * math.log(max(0.5 * math.erfc(x), 1e-9))
                 drop = mirror * amplitude + (1 - mirror) * intensity
                 left = 10 * math.log10(1 + 10 ** (top / 10) * math.exp(2 * drop))
-                log += share[b] * _mixture(contrast[b], left, _NOTHING, _RARE_STD)
+                log += share[b] * _log_density(contrast[b], left, _NOTHING)
         logs[t] = log
     return logs, needle[m], tops
 

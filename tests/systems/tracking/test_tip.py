@@ -52,6 +52,21 @@ def test_gap_is_bridged_only_if_more_lies_beyond():
     assert find_extent(profile(0.04, gaps=gaps), PARAMETERS).end < 0.021
 
 
+@pytest.mark.parametrize("ahead", [6e-3, 10e-3, 20e-3])
+@pytest.mark.parametrize("level", [12.0, 30.0])
+def test_what_shines_ahead_of_the_tip_is_not_its_end(level, ahead):
+    needle = profile(0.03, level)
+    spot = 40.0 * np.exp(-0.5 * ((needle.a - 0.03 - ahead) / 1.2e-3) ** 2)
+    extent = find_extent(replace(needle, level=np.maximum(needle.level, 20 + spot)), PARAMETERS)
+    assert extent.tip == pytest.approx(0.03, abs=1e-3)
+
+
+@pytest.mark.parametrize("gap", [5e-3, 15e-3])
+def test_a_needle_that_hides_shows_again_as_bright_as_before(gap):
+    extent = find_extent(profile(0.06, 20.0, gaps=[(0.03, 0.03 + gap)]), PARAMETERS)
+    assert extent.tip == pytest.approx(0.06, abs=1e-3)
+
+
 def test_evidence_grows_with_length():
     short, long = (find_extent(profile(tip), PARAMETERS).evidence for tip in (0.01, 0.03))
     assert 2.5 * short < long < 3.5 * short

@@ -38,7 +38,8 @@ KINDS = {
 }
 """Scenario and changes by kind of needle."""
 
-VALUES = {"_NOTHING": (1.8, 2.2, 2.6), "_SPREAD": (0.25, 0.33), "_TREND": (3.5e-3, 5e-3, 8e-3)}
+VALUES = {"_NOTHING": (1.8, 2.2, 2.6), "_SPREAD": (0.25, 0.33), "_TREND": (3.5e-3, 5e-3, 8e-3),
+          "_HIDES": (0.1, 0.2, 0.4)}  # fmt: skip
 PARAMETERS = tip.TipParameters()
 NEAR, EVERY, SHORTEST, LEAST = 3e-3, 3, 12e-3, 1e-6
 
@@ -92,7 +93,8 @@ def main(arguments=None):
     for values in itertools.product(*VALUES.values()):
         for name, value in zip(VALUES, values, strict=True):
             setattr(tip, name, value)
-        tip._end_logs = njit(error_model="numpy")(tip._end_logs.py_func)
+        for kernel in ("_needle_logs", "_tissue_logs", "_end_logs"):
+            setattr(tip, kernel, njit(error_model="numpy")(getattr(tip, kernel).py_func))
         means = [np.mean(list(itertools.starmap(log_probability, seen[kind]))) for kind in seen]
         print(*values, *np.round([*means, np.mean(means)], 3), sep=" | ", flush=True)
 
