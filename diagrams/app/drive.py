@@ -1,12 +1,11 @@
 """Teleoperated runs of a scenario: needle, phantom and controller are driven from a page."""
 
 import itertools
-import re
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from pydrake.geometry import Meshcat
 from pydrake.systems.framework import System
@@ -26,10 +25,10 @@ from sonoservo.diagrams.experiments.following_scene import (
 from sonoservo.diagrams.scenario import Scenario, require_scenario
 from sonoservo.systems.control.controller_schedule import ControllerSchedule, OperatorSettings
 from sonoservo.systems.display.console.controls import OperatorPanel, operator_controls
-from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.files.writing import write_atomically
 from sonoservo.systems.needle.hand import OperatorHand
 from sonoservo.systems.robot.operator_phantom_motion import OperatorPhantomMotion
+from sonoservo.systems.signals.search_reason import Reader
 
 if TYPE_CHECKING:
     from sonoservo.systems.display.console.console import Console
@@ -49,6 +48,8 @@ class DrivenExperiment(FollowingExperiment):
     The operator's actions, from the console's pages, replace the scenario's pushes, moves of the
     phantom and changes of the controller.
     """
+
+    reader = Reader.OPERATOR
 
     def __init__(
         self,
@@ -100,13 +101,6 @@ class DrivenExperiment(FollowingExperiment):
             return "aim it when it is outside"
         pushed = any(push.speed for push in self._hand.insertion(context).parameters.pushes)
         return "" if pushed else "press W to push the needle in: switch the keys on first"
-
-    def summarize(self, log: RunLog) -> dict[str, Any]:
-        """Return the figures of a log, with advice for a hand in place of a scenario's fields."""
-        summary = super().summarize(log)
-        if advice := summary["detection"].get("advice"):
-            summary["detection"]["advice"] = re.sub(r" \([\w., ]+\)", "", advice)
-        return summary
 
     def happened(self) -> FollowingScenario:
         """Return the scenario that repeats the operator's actions so far."""

@@ -36,6 +36,7 @@ from sonoservo.systems.robot.errors.calibration import hand_eye_error
 from sonoservo.systems.signals.guard_status import GuardState, GuardStatus
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
 from sonoservo.systems.signals.requirements import require
+from sonoservo.systems.signals.search_reason import Reader
 from sonoservo.systems.ultrasound.simulation.scanner import Scanner
 
 if TYPE_CHECKING:
@@ -83,6 +84,7 @@ class FollowingExperiment(Experiment[FollowingScenario]):
         | {"tracker"}
     )
     log_class = RunLog
+    reader = Reader.SCENARIO
 
     def __init__(
         self,
@@ -236,7 +238,7 @@ class FollowingExperiment(Experiment[FollowingScenario]):
 
     def summarize(self, log: RunLog) -> dict[str, Any]:
         """Summarise a log, see `summarize`, and add what the guard noticed as `guard.noticed`."""
-        figures = summarize(log, self.force_target)
+        figures = summarize(log, self.force_target, self.reader)
         figures["guard"]["noticed"] = self._guard.remark or None
         return figures
 

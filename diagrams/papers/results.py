@@ -6,13 +6,11 @@ by the present definitions. They name the commit that made the runs, and say so 
 runs has changed since.
 """
 
-import gzip
-import json
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import fields
-from functools import cache
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from functools import cache, partial
 from html import escape
 from importlib import import_module
 from pathlib import Path
@@ -20,10 +18,14 @@ from typing import Any
 
 from numba import config
 
-from sonoservo.diagrams.studies.fingerprint import RECORDS, code_fingerprint, made_with
+from sonoservo.diagrams.papers.registry import STUDIES
+from sonoservo.diagrams.published import PAPERS
+from sonoservo.diagrams.studies.fingerprint import RECORDS, made_with
 from sonoservo.diagrams.studies.records import (
     Records,
-    present_commit,
+    kept_commit,
+    present_code,
+    present_records,
     read_records,
     write_records,
 )
@@ -73,79 +75,38 @@ def keep_records(outcomes: Mapping[str, Sequence[Outcome]], command: str) -> Non
     """Keep records of runs in the packages that made them, and write the tables made of them."""
     _require_checkout()
     for name, each in outcomes.items():
-        write_records(_folder(name) / RECORDS, each, command)
-    kept_results.cache_clear()
+        write_records(_path(name), present_records(each, command))
     write_tables()
 
 
-@cache
-def kept_results(paper: str) -> dict[str, Any] | None:
-    """Return a study's kept results as in study.json, by the present definitions; None if none."""
-    records = kept_records(paper)
-    if records is None:
-        return None
-    room = study_room(paper)
-    study: Study = import_module(f"sonoservo.diagrams.{room}.{paper}.reproduction").report(
-        records.outcomes
-    )
-    kept = _content(paper).get("repeats", ())
-    repeats = [each for each in kept if each["code"] == _present_code(each["code"])]
-    made = {
-        "commit": records.commit,
-        "outdated": records.is_outdated and not repeats,
-        "repeats": repeats,
-    }
-    return study.as_json(records.command) | made
-
-
-def kept_records(paper: str) -> Records | None:
+def kept_records(name: str) -> Records | None:
     """Return the records of the kept runs of a paper, a study or the benchmark; None if none."""
-    return read_records(_folder(paper) / RECORDS)
+    return read_records(_path(name))
 
 
 def keep_repeat(name: str, runs: int) -> None:
     """Keep beside a study's records that so many of its runs, made again now, gave the same.
 
     The tables then say so, and no longer that the code has changed. ConfigurationError outside a
-    checkout, or if the present code is not committed.
+    checkout, if nothing is kept, or if the present code is not committed.
     """
     _require_checkout()
-    path, commit = _folder(name) / RECORDS, present_commit()
-    if commit.endswith("+"):
-        raise ConfigurationError(f"--keep: the code of {commit} was not committed")
-    content = _content(name)
-    modules = dict.fromkeys(each["module"] for each in content["made_by"])
+    records, commit = kept_records(name), kept_commit()
+    if records is None:
+        raise ConfigurationError(f"--keep: no records of runs are kept of {name}")
     repeat = {
-        "code": _present_code(modules),
+        "code": present_code(dict.fromkeys(each.made_by["module"] for each in records.outcomes)),
         "for": config.CPU_NAME or made_with()["instruction set"],
     }
-    others = [each for each in content.get("repeats", ()) if {**each, **repeat} != each]
-    content["repeats"] = [*others, {**repeat, "commit": commit, "runs": runs}]
-    text = json.dumps(content, separators=(",", ":"))
-    write_atomically(path, gzip.compress(text.encode(), mtime=0))
-    kept_results.cache_clear()
+    others = [each for each in records.repeats if {**each, **repeat} != each]
+    repeats = [*others, {**repeat, "commit": commit, "runs": runs}]
+    write_records(_path(name), replace(records, repeats=repeats))
     write_tables()
 
 
 def _require_checkout() -> None:
     if not (_ROOT / "pyproject.toml").is_file():
         raise ConfigurationError("--keep: results are kept in a checkout of the repository only")
-
-
-def _present_code(modules: Iterable[str]) -> dict[str, str]:
-    """Return the present fingerprints of the code of some modules."""
-    return {each: code_fingerprint(each) for each in modules}
-
-
-def _content(name: str) -> dict[str, Any]:
-    """Return the content of the file of a study's records; see `write_records`."""
-    content: dict[str, Any] = json.loads(gzip.decompress((_folder(name) / RECORDS).read_bytes()))
-    return content
-
-
-def study_room(name: str) -> str:
-    """Return the folder of `diagrams` in which a study's package lies: "papers" or "studies"."""
-    return "papers" if (_ROOT / "diagrams" / "papers" / name).is_dir() else "studies"
 
 
 def results_table(kept: Mapping[str, Any], rows: str) -> str:
@@ -157,21 +118,15 @@ def results_table(kept: Mapping[str, Any], rows: str) -> str:
     numbers = sorted({len(seeds) for seeds in kept["seeds"].values()})
     seeds = " to ".join(map(str, dict.fromkeys((numbers[0], numbers[-1]))))
     seeds += " seeds" if numbers[-1] > 1 else " seed"
-    source = f"Commit {kept['commit'][:10]}, `{kept['command']}`, {seeds} an experiment"
-    changed = CHANGED if kept.get("outdated") else ""
-    for each in kept.get("repeats", ()):
-        changed += (
-            f" {each['runs']} of the runs, made again by commit {each['commit'][:10]} "
-            f"({each['for']}), gave the same figures."
-        )
+    seeds = f", {seeds} an experiment"
     if rows == "thresholds":
-        return f"{source}.{changed}\n\n{_thresholds_table(kept['thresholds'])}"
+        return f"{_source(kept, seeds)}\n\n{_thresholds_table(kept['thresholds'])}"
     if rows == "experiments":
-        return f"{source}.{changed}\n\n{_experiments_table(kept)}"
+        return f"{_source(kept, seeds)}\n\n{_experiments_table(kept)}"
     study_rows = [_row(each) for each in kept["rows"]]
     met = summary_of([each.verdict for each in study_rows if each.verdict is not None])
     shown = [each for each in study_rows if rows != "published" or each.paper is not None]
-    head = f"{source}: {met}.{changed}\n\n"
+    head = f"{_source(kept, f'{seeds}: {met}')}\n\n"
     if rows == "published":
         return head + _first_table(shown).markdown()
     groups: dict[str, list[StudyRow]] = {}
@@ -180,6 +135,18 @@ def results_table(kept: Mapping[str, Any], rows: str) -> str:
     behind = kept.get("published_better")
     head += f"{behind}\n\n" if behind else ""
     return head + "\n\n".join(_folded(name, each) for name, each in groups.items())
+
+
+def _source(kept: Mapping[str, Any], more: str = "") -> str:
+    """Return the sentences on what made kept results, and whether they are outdated."""
+    said = f"Commit {kept['commit'][:10]}, `{kept['command']}`{more}."
+    said += CHANGED if kept.get("outdated") else ""
+    for each in kept.get("repeats", ()):
+        said += (
+            f" {each['runs']} of the runs, made again by commit {each['commit'][:10]} "
+            f"({each['for']}), gave the same figures."
+        )
+    return said
 
 
 def _first_table(rows: Sequence[StudyRow]) -> Table:
@@ -205,6 +172,7 @@ def _folded(experiment: str, rows: Sequence[StudyRow]) -> str:
 
 def write_tables() -> None:
     """Write the tables of all `PAGES` anew."""
+    _tables.cache_clear()
     for page in PAGES:
         write_atomically(page, with_tables(page.read_text(encoding="utf-8")))
 
@@ -213,28 +181,58 @@ def with_tables(text: str) -> str:
     """Return a page with the tables between its marks as the kept results give them."""
 
     def table(found: re.Match[str]) -> str:
-        paper, rows = found.groups()
-        if paper == BENCHMARK:
-            content = _benchmark_scores() or _NONE.format(BENCHMARK)
-        else:
-            kept = kept_results(paper)
-            made_by = "all" if study_room(paper) == "papers" else paper
-            none = _NONE.format(f"reproduce {made_by}")
-            content = none if kept is None else results_table(kept, rows)
-        return f"<!-- results {paper} {rows} -->\n{content}\n<!-- end of results -->"
+        name, rows = found.groups()
+        tables = _tables(name)
+        content = tables(rows) if tables else _NONE.format(_KEPT[name].command)
+        return f"<!-- results {name} {rows} -->\n{content}\n<!-- end of results -->"
 
     return _TABLE.sub(table, text)
 
 
-def _benchmark_scores() -> str | None:
-    """Return the kept scores of the benchmark as Markdown; None if none are kept."""
-    records = kept_records(BENCHMARK)
+_Tables = Callable[[str], str]
+"""Function from a choice of rows to kept results as Markdown, by the present definitions."""
+
+
+@cache
+def _tables(name: str) -> _Tables | None:
+    """Return the tables of kept results; None if none are kept."""
+    records = kept_records(name)
     if records is None:
         return None
-    report = import_module(f"sonoservo.diagrams.{BENCHMARK}.report")
-    changed = CHANGED if records.is_outdated else ""
-    source = f"Commit {records.commit[:10]}, `{records.command}`.{changed}"
-    return f"{source}\n\n{report.kept_markdown(records.outcomes)}"
+    made = {
+        "command": records.command,
+        "commit": records.commit,
+        "outdated": records.is_outdated,
+        "repeats": records.present_repeats,
+    }
+    return _KEPT[name].tables(name, records.outcomes, made)
+
+
+def _study_tables(name: str, outcomes: Sequence[Outcome], made: dict[str, Any]) -> _Tables:
+    package = _KEPT[name].folder.replace("/", ".")
+    study: Study = import_module(f"sonoservo.diagrams.{package}.reproduction").report(outcomes)
+    return partial(results_table, study.as_json(made["command"]) | made)
+
+
+def _benchmark_tables(name: str, outcomes: Sequence[Outcome], made: dict[str, Any]) -> _Tables:
+    scores = import_module(f"sonoservo.diagrams.{name}.report").kept_markdown(outcomes)
+    return lambda rows: f"{_source(made)}\n\n{scores}"
+
+
+@dataclass(frozen=True)
+class _Kept:
+    """Something of which records are kept: its folder, its command, and the tables made of it."""
+
+    folder: str
+    command: str
+    tables: Callable[[str, Sequence[Outcome], dict[str, Any]], _Tables]
+
+
+_KEPT = {
+    **{name: _Kept(f"papers/{name}", "reproduce all", _study_tables) for name in PAPERS},
+    **{name: _Kept(f"studies/{name}", f"reproduce {name}", _study_tables) for name in STUDIES},
+    BENCHMARK: _Kept(BENCHMARK, BENCHMARK, _benchmark_tables),
+}
 
 
 def _thresholds_table(thresholds: Sequence[Mapping[str, str]]) -> str:
@@ -273,7 +271,5 @@ def _row(kept: Mapping[str, Any]) -> StudyRow:
     return StudyRow(**known)
 
 
-def _folder(name: str) -> Path:
-    if name == BENCHMARK:
-        return _ROOT / "diagrams" / BENCHMARK
-    return _ROOT / "diagrams" / study_room(name) / name
+def _path(name: str) -> Path:
+    return _ROOT / "diagrams" / _KEPT[name].folder / RECORDS

@@ -19,9 +19,8 @@ _PARTS = ("systems", "models", "diagrams")
 _SHOWING = ("sonoservo.systems.display", "sonoservo.systems.evaluation.reports")
 """Rooms that only present runs; nothing in them makes a result."""
 
-RECORDS, OLD = "records.json.gz", "results.json"
-"""Names of the files of kept results, which the code makes and which do not count as part of it.
-The second is that of older results without records, which are outdated."""
+RECORDS = "records.json.gz"
+"""Name of the files of kept results, which the code makes and which do not count as part of it."""
 
 _PACKAGES = ("sonoservo", "drake", "numpy", "scipy", "numba", "llvmlite", "filterpy")
 """Packages whose versions affect results."""
@@ -43,7 +42,7 @@ def code_fingerprint(*modules: str) -> str:
             module = ".".join(("sonoservo", *names))
             code = path.suffix in (".py", ".pyi")
             counts = not _shows(module) and (not code or reached is None or module in reached)
-            made = path.suffix == ".md" or path.name in (RECORDS, OLD) or "__pycache__" in names
+            made = path.suffix == ".md" or path.name == RECORDS or "__pycache__" in names
             if path.is_file() and counts and not made:
                 content = _without_words(path.read_bytes()) if code else path.read_bytes()
                 digest.update("/".join(names).encode() + b"\0" + content)

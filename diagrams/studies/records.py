@@ -3,13 +3,13 @@
 import gzip
 import json
 import subprocess
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from sonoservo.diagrams.studies.fingerprint import is_outdated
+from sonoservo.diagrams.studies.fingerprint import code_fingerprint, is_outdated
 from sonoservo.diagrams.studies.study import Case, Outcome
 from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
 from sonoservo.systems.files.writing import write_atomically
@@ -19,40 +19,60 @@ _DIGITS = 6  # significant digits of the figures that are kept
 
 @dataclass(frozen=True)
 class Records:
-    """Records of the runs of a study, with the command, commit and version that made them."""
+    """Records of the runs of a study, with the command, commit and version that made them.
+
+    Each of `repeats` says that some of the runs, made again, gave the same: the `code` by module,
+    the processor it was compiled `for`, the `commit`, and the number of `runs`.
+    """
 
     command: str
     commit: str
     version: str
     outcomes: Sequence[Outcome]
+    repeats: Sequence[Mapping[str, Any]] = ()
+
+    @property
+    def present_repeats(self) -> list[Mapping[str, Any]]:
+        """The repeats that the present code made."""
+        return [each for each in self.repeats if each["code"] == present_code(each["code"])]
 
     @property
     def is_outdated(self) -> bool:
-        """Whether the code that made any of them has changed since."""
+        """Whether the code of any has changed since, and none was made again by the present one."""
         identities = {json.dumps(dict(each.made_by), sort_keys=True) for each in self.outcomes}
-        return any(is_outdated(json.loads(each)) for each in identities)
+        changed = any(is_outdated(json.loads(each)) for each in identities)
+        return changed and not self.present_repeats
 
 
-def write_records(path: Path, outcomes: Sequence[Outcome], command: str) -> None:
-    """Write the records of finished runs to one compressed file."""
-    commit = present_commit()
-    if commit.endswith("+"):
-        raise ConfigurationError(f"--keep: the code of {commit} was not committed")
-    if Records(command, commit, "", outcomes).is_outdated:
+def present_code(modules: Iterable[str]) -> dict[str, str]:
+    """Return the present fingerprints of the code of some modules."""
+    return {each: code_fingerprint(each) for each in modules}
+
+
+def present_records(outcomes: Sequence[Outcome], command: str) -> Records:
+    """Return the records of runs that the present code made, which must be committed."""
+    records = Records(command, kept_commit(), version("sonoservo"), outcomes)
+    if records.is_outdated:
         raise ConfigurationError("--keep: other code than the present one made some of the runs")
+    return records
+
+
+def write_records(path: Path, kept: Records) -> None:
+    """Write records to one compressed file."""
     identities: list[Mapping[str, str]] = []
     records = []
-    for each in outcomes:
+    for each in kept.outcomes:
         record = {key: value for key, value in asdict(each).items() if key != "files"}
         if each.made_by not in identities:
             identities.append(each.made_by)
         records.append(_rounded(record) | {"made_by": identities.index(each.made_by)})
     content = {
-        "command": command,
-        "commit": commit,
-        "version": version("sonoservo"),
+        "command": kept.command,
+        "commit": kept.commit,
+        "version": kept.version,
         "made_by": [dict(each) for each in identities],
         "records": records,
+        "repeats": kept.repeats,
     }
     text = json.dumps(content, separators=(",", ":"))
     write_atomically(path, gzip.compress(text.encode(), mtime=0))
@@ -71,7 +91,8 @@ def read_records(path: Path) -> Records | None:
             )
             for each in content["records"]
         ]
-        return Records(content["command"], content["commit"], content["version"], outcomes)
+        command, commit, made = (content[each] for each in ("command", "commit", "version"))
+        return Records(command, commit, made, outcomes, content.get("repeats", ()))
 
 
 def _rounded(value: Any) -> Any:
@@ -81,6 +102,14 @@ def _rounded(value: Any) -> Any:
     if isinstance(value, Mapping):
         return {key: _rounded(each) for key, each in value.items()}
     return [_rounded(each) for each in value] if isinstance(value, list | tuple) else value
+
+
+def kept_commit() -> str:
+    """Return the program's commit; ConfigurationError if the present code is not committed."""
+    commit = present_commit()
+    if commit.endswith("+"):
+        raise ConfigurationError(f"--keep: the code of {commit} was not committed")
+    return commit
 
 
 def present_commit() -> str:

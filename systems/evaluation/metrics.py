@@ -1,7 +1,7 @@
 """Metrics of a run: detection, tracking, servo, force, guard, computing times, and what failed."""
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import compress
 from typing import Any
@@ -22,7 +22,14 @@ from sonoservo.systems.evaluation.run_errors import (
 from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.evaluation.success import TrackedVolumes, from_needle, run_outcome
 from sonoservo.systems.signals.needle_estimate import TrackingMode
-from sonoservo.systems.signals.search_reason import ReasonCount, SearchReason
+from sonoservo.systems.signals.search_reason import (
+    LONGER,
+    Reader,
+    ReasonCount,
+    Remedy,
+    SearchReason,
+    advice,
+)
 
 _REST_SPEED, _REST_WINDOW, _REST_TIME = 0.2e-3, 1.0, 3.0
 """Speed of the tip in W in m/s below which the needle is at rest; time in s over which it is
@@ -42,21 +49,24 @@ _SETTLING = 2.0  # time in s from the first contact until the force counts as se
 _APPROACH_TIME, _APPROACH_SPEED = 0.2, 1e-3
 """Time in s, and speed in m/s above which a probe without contact is on its way to the body."""
 
-_NO_CONTACT = (
-    "Check that the arm reaches the body and that its joints move (max_speed, joint limits and "
-    "home posture in the arm's file; the phantom's place), and let the run be long enough to land "
-    "(duration)."
+_NO_CONTACT = Remedy(
+    "check that the arm reaches the body and that its joints move",
+    "max_speed, joint limits and home posture in the arm's file; the phantom's place",
 )
+_OUTSIDE = Remedy("push it in before the run ends", "hand.start, hand.pushes, duration", "")
+_UNSEEN = Remedy("push it further or below the probe", "hand.pushes, hand.aim", "")
 
 
-def summarize(log: RunLog, force_target: float | None = 2.0) -> dict[str, Any]:
+def summarize(
+    log: RunLog, force_target: float | None = 2.0, reader: Reader = Reader.SCENARIO
+) -> dict[str, Any]:
     """Summarise a run in blocks of figures for JSON, by name; a figure without a value is None.
 
-    The controller aims at the force target in N; None if it changes.
+    The controller aims at the force target in N; None if it changes. The advice is for the reader.
     """
     summary: dict[str, Any] = {
         "simulated_s": _number(log.time[-1] if len(log.time) else 0.0),
-        "detection": detection(log),
+        "detection": detection(log, reader),
         "tracking": tracking(log),
         "servo": servo(log),
         "force": force(log, force_target),
@@ -71,7 +81,7 @@ def summarize(log: RunLog, force_target: float | None = 2.0) -> dict[str, Any]:
     return summary
 
 
-def detection(log: RunLog) -> dict[str, Any]:
+def detection(log: RunLog, reader: Reader = Reader.SCENARIO) -> dict[str, Any]:
     """Summarise the detection: the first start of tracking that is not false.
 
     Returns `volume`, number of volumes before it; `inserted_mm`, `visible_mm`, true lengths then;
@@ -81,9 +91,9 @@ def detection(log: RunLog) -> dict[str, Any]:
     started, true = _starts(log)
     right = started[true]
     first = int(right[0]) if len(right) else None
-    reason, advice = missing_needle(log) if first is None else ("", "")
+    reason, remedies = missing_needle(log) if first is None else ("", ())
     if first is None and force(log)["touched"] is False:
-        reason, advice = "", _NO_CONTACT
+        reason, remedies = "", [_NO_CONTACT, LONGER]
 
     def length_mm(lengths: Floats) -> float | None:
         if first is None:
@@ -96,7 +106,7 @@ def detection(log: RunLog) -> dict[str, Any]:
         "visible_mm": length_mm(log.visible_length),
         "false_starts": int(np.sum(~true)),
         "reason": reason or None,
-        "advice": advice or None,
+        "advice": _sentence(advice(remedies, reader)) or None,
     }
 
 
@@ -298,24 +308,18 @@ _IN_VIEW = 5e-3
 """Length of the needle in the swept sector, in m, from which the tracker could find it."""
 
 
-def missing_needle(log: RunLog) -> tuple[str, str]:
-    """Return why the tracker found no needle, and what to change, each as a sentence or empty."""
+def missing_needle(log: RunLog) -> tuple[str, Sequence[Remedy]]:
+    """Return why the tracker found no needle, as a sentence or empty, and what to change."""
     reasons = volume_reasons(log)
     if not reasons:
-        return "No volume was acquired.", _sentence(SearchReason.NO_VOLUME.run_advice)
+        return "No volume was acquired.", SearchReason.NO_VOLUME.remedies
     last = f" {_sentence(reasons[-1])}" if reasons[-1] else ""
     if np.nanmax(log.inserted_length, initial=-1) == 0:
-        return (
-            f"The needle stayed outside the tissue.{last}",
-            "Push it in before the run ends (hand.start, hand.pushes, duration).",
-        )
+        return f"The needle stayed outside the tissue.{last}", [_OUTSIDE]
     visible = at_times(log, log.visible_length, log.volume_time)
     seen = np.nan_to_num(visible) > _IN_VIEW
     if np.isfinite(visible).any() and not seen.any():
-        return (
-            f"The needle never came into view.{last}",
-            "Push it further (hand.pushes), or let it pass below the probe (hand.aim).",
-        )
+        return f"The needle never came into view.{last}", [_UNSEEN]
     shown = [reason for reason, each in zip(reasons, seen, strict=True) if each] or reasons
     # The first volumes have nothing to be compared with, whatever else is wrong.
     early = SearchReason.NOTHING_EARLIER
@@ -323,7 +327,7 @@ def missing_needle(log: RunLog) -> tuple[str, str]:
     counts = Counter(SearchReason.of(each) or each for each in shown)
     usual, _ = counts.most_common(1)[0]
     last = next(each for each in reversed(shown) if (SearchReason.of(each) or each) == usual)
-    return _sentence(last), _sentence(usual.run_advice if isinstance(usual, SearchReason) else "")
+    return _sentence(last), usual.remedies if isinstance(usual, SearchReason) else ()
 
 
 def volume_reasons(log: RunLog) -> list[str]:

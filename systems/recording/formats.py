@@ -3,13 +3,13 @@
 from collections.abc import Callable
 from pathlib import Path
 
+from sonoservo.systems.files.nifti_reader import open_nifti
 from sonoservo.systems.files.nrrd_reader import open_nrrd
 from sonoservo.systems.files.plus_fields import as_plus_means
 from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures, require_extra
 from sonoservo.systems.files.volume_file import VolumeFile
 from sonoservo.systems.recording.dicom import open_dicom
 from sonoservo.systems.recording.meta_image import open_meta_image
-from sonoservo.systems.recording.nifti import open_nifti
 from sonoservo.systems.recording.png_folder import open_png_folder
 from sonoservo.systems.recording.tus_rec import open_tus_rec
 from sonoservo.systems.recording.zea import open_zea

@@ -145,9 +145,11 @@ def _peak_offset(around: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _cosine_peak(before: float, peak: float, after: float) -> float:
-    """Return the position, from -0.5 to 0.5, of the maximum of the cosine through 3 values."""
-    cosine = (before + after) / (2 * peak)
-    if not -1 < cosine < 1:
+    """Return the position, from -0.5 to 0.5, of the maximum of the cosine through 3 values.
+
+    0 if there is no such cosine, as for a peak of 0.
+    """
+    if not abs(before + after) < 2 * peak:
         return 0.0
-    step = np.arccos(cosine)
+    step = np.arccos((before + after) / (2 * peak))
     return float(np.clip(np.arctan2(after - before, 2 * peak * np.sin(step)) / step, -0.5, 0.5))

@@ -1,136 +1,138 @@
-"""Reasons for which a tracker finds no needle: their kinds, words for a person, and what to change.
-
-Advice for a run names fields of its scenario; advice for a person's own volumes names the volumes
-and options of `sonoservo track`.
-"""
+"""Reasons for which a tracker finds no needle, in words for a person, and what to change."""
 
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
-from enum import Enum
+from enum import Enum, auto
 from typing import Self
 
 
-@dataclass(frozen=True, eq=False)
-class _Search:
-    """Words and advice for a kind of reason."""
+class Reader(Enum):
+    """Who reads advice: the author of a scenario or a recording, or the operator of a drive."""
 
-    begins: str
-    """Beginning of the sentences of this kind, which may go on with figures."""
+    SCENARIO = auto()
+    RECORDING = auto()
+    OPERATOR = auto()
+
+
+@dataclass(frozen=True)
+class Remedy:
+    """Something to change, and the fields of a scenario and options of `sonoservo track` for it.
+
+    Empty if there are none; None if it is no advice for a run, or none for a recording.
+    """
 
     words: str
-    """The same in a few words, without figures."""
-
-    run_advice: str = ""
-    """What to change in a scenario so that the needle is found; may be empty."""
-
-    track_advice: str = ""
-    """What to change with volumes of one's own; may be empty."""
+    fields: str | None = None
+    options: str | None = None
 
 
-_FAINT = (
-    "push the needle further into view (hand.pushes), or make it brighter (scanner.needle) or less "
-    "steep (hand.dip_deg)"
-)
-_UNSEEN = (
+def advice(remedies: Iterable[Remedy], reader: Reader) -> str:
+    """Return what a reader can change, in words with the names in brackets; empty if nothing."""
+    said = []
+    for each in remedies:
+        names = each.options if reader is Reader.RECORDING else each.fields
+        if names is not None:
+            shown = names and reader is not Reader.OPERATOR
+            said.append(f"{each.words} ({names})" if shown else each.words)
+    return ", or ".join(said)
+
+
+LONGER = Remedy("let the run be longer", "duration")
+_RECORD = Remedy("record volumes", options="")
+_IN_SIGHT = Remedy("push the needle in while the probe looks on", "hand.pushes, hand.aim", "")
+_FURTHER = Remedy("push the needle further into view", "hand.pushes")
+_SLOWLY = Remedy("push the needle more slowly", "hand.pushes", "")
+_OFTEN = Remedy("record more volumes a second", "imaging.volume_rate", "")
+_ANYWHERE = Remedy("look for it in whole volumes", "tracker.start=anywhere", "--start anywhere")
+_BRIGHTER = Remedy("make it brighter", "scanner.needle")
+_LOOK = Remedy(
     "look at the volumes (--show): does the sound run as --depth says, is the needle brighter than "
-    "the rest (--window), are the voxels as large as the file says (sonoservo check)?"
+    "the rest (--window), are the voxels as large as the file says (sonoservo check)?",
+    options="",
 )
-_LONGER = "let the run be longer (duration)"
-_ANYWHERE = "look for it in whole volumes (--start anywhere)"
+_FAINT = (_FURTHER, _BRIGHTER, Remedy("hold it less steeply", "hand.dip_deg"), _LOOK)
 
 
-class SearchReason(_Search, Enum):
-    """Kinds of reasons for which there is no needle in a volume."""
+class SearchReason(Enum):
+    """Kinds of reasons for which there is no needle in a volume.
 
-    NO_VOLUME = ("no volume", "there is no volume", _LONGER, "record volumes")
-    NO_SWEEP = ("no sweep", "there is no volume", _LONGER, "record volumes")
+    Each has the beginning of its sentences, which may go on with figures, a few words without
+    figures, and remedies.
+    """
+
+    NO_VOLUME = ("no volume", "there is no volume", LONGER, _RECORD)
+    NO_SWEEP = ("no sweep", "there is no volume", LONGER, _RECORD)
     NOTHING_EARLIER = (
         "there is no earlier volume",
         "there is nothing to compare with yet",
-        "let the run be longer (duration) or the hand start later (hand.start)",
-        f"record some seconds before the needle is pushed in, or {_ANYWHERE}",
+        LONGER,
+        Remedy("wait some seconds before the needle is pushed in", "hand.start", ""),
+        _ANYWHERE,
     )
     OTHER_SETTINGS = (
         "the previous volume",
         "the scanner's settings have changed",
-        "keep the scanner's settings (imaging) while the tracker searches",
-        "keep the scanner's settings while the tracker searches",
+        Remedy("keep the scanner's settings while the tracker searches", "imaging", ""),
     )
-    NOTHING_CHANGES = (
-        "nothing changed",
-        "nothing changes",
-        "push the needle into view (hand.pushes, hand.aim), or make its echo brighter "
-        "(scanner.needle)",
-        f"push the needle in while volumes are recorded, or {_ANYWHERE}",
-    )
+    NOTHING_CHANGES = ("nothing changed", "nothing changes", _IN_SIGHT, _BRIGHTER, _ANYWHERE)
     SPREAD = (
         "the change is spread",
         "too much changes at once",
-        "push the needle more slowly (hand.pushes), or look for it in whole volumes: "
-        "tracker.start=anywhere",
-        f"push the needle more slowly, keep tissue and probe still, or {_ANYWHERE}",
+        _SLOWLY,
+        Remedy("keep tissue and probe still", options=""),
+        _ANYWHERE,
     )
     INSIDE = (
         "the change lies",
         "the change is far inside the image",
-        "let the needle come in from the side of the image, or look for it in whole volumes: "
-        "tracker.start=anywhere",
-        f"let the needle come in from the side of the image, or {_ANYWHERE}",
+        Remedy("let the needle come in from the side of the image", "", ""),
+        _ANYWHERE,
     )
     MOTION_UNCONFIRMED = (
         "something moved",
         "something moved, and is not confirmed yet",
-        "push the needle further in or more slowly (hand.pushes), or raise imaging.volume_rate",
-        "push the needle further in or more slowly, or record more volumes a second",
+        Remedy("push the needle further in or more slowly", "hand.pushes", ""),
+        _OFTEN,
     )
     UNCERTAIN = (
         "no line is a needle with certainty",
         "no line is a needle with certainty yet",
-        "let the run be longer (duration), or push the needle further into view (hand.pushes)",
-        "record more volumes; one sweep over the needle is not enough, three are",
+        LONGER,
+        _FURTHER,
+        Remedy("record more volumes; one sweep over the needle is not enough, three are", None, ""),
     )
-    NOT_DETECTED = (
-        "no needle has been",
-        "no needle has been detected",
-        _FAINT,
-        f"{_UNSEEN} Or {_ANYWHERE}",
-    )
+    NOT_DETECTED = ("no needle has been", "no needle has been detected", _ANYWHERE, *_FAINT)
     THERE_BEFORE = (
         "the line most like a needle was there",
         "the line most like a needle was there before",
-        "push the needle into view while the probe looks on, or take any line that looks like one: "
-        "tracker.start=anywhere",
-        "record from before the needle comes in, or take any line that looks like one "
-        "(--start anywhere)",
+        _IN_SIGHT,
+        Remedy("take any line that looks like one", "tracker.start=anywhere", "--start anywhere"),
     )
     RIDES = (
         "the line most like a needle moves along",
         "the line most like a needle moves along with the probe",
-        _FAINT,
-        _UNSEEN,
+        *_FAINT,
     )
     APPEARED = (
         "the line most like a needle appeared",
         "the line most like a needle appeared at once",
-        "push the needle more slowly (hand.pushes), or raise imaging.volume_rate",
-        "push the needle more slowly, or record more volumes a second",
+        _SLOWLY,
+        _OFTEN,
     )
-    NO_BRIGHT_LINE = ("no bright line", "no bright line comes in from the side", _FAINT, _UNSEEN)
-    NO_LINE = ("no line", "no line stands out as a needle does", _FAINT, _UNSEEN)
-    NOT_AS_EXPECTED = ("none of", "nothing lies where the needle is expected", _FAINT, _UNSEEN)
-    NOTHING_ALONG = ("nothing along", "no needle stands out along its line", _FAINT, _UNSEEN)
-    HARDLY_SEEN = ("only", "too little of the needle is seen", _FAINT, _UNSEEN)
-    OFF_PREDICTION = (
-        "the measurement is",
-        "what is found lies far from the prediction",
-        _FAINT,
-        _UNSEEN,
-    )
+    NO_BRIGHT_LINE = ("no bright line", "no bright line is seen", *_FAINT)
+    NO_LINE = ("no line", "no line stands out as a needle does", *_FAINT)
+    NOT_AS_EXPECTED = ("none of", "nothing lies where the needle is expected", *_FAINT)
+    NOTHING_ALONG = ("nothing along", "no needle stands out along its line", *_FAINT)
+    HARDLY_SEEN = ("only", "too little of the needle is seen", *_FAINT)
+    OFF_PREDICTION = ("the measurement is", "what is found lies far from the prediction", *_FAINT)
     OUT_OF_VIEW = ("the predicted needle lies outside", "the needle has left the view")
-    NOT_ALIKE = ("the line found", "the line found is like no needle", _FAINT, _UNSEEN)
+    NOT_ALIKE = ("the line found", "the line found is like no needle", *_FAINT)
     WITHDRAWN = ("the needle was withdrawn", "the needle was withdrawn")
     TRACKED = ("a needle is being tracked", "a needle is being tracked")
+
+    def __init__(self, begins: str, words: str, *remedies: Remedy) -> None:
+        self.begins, self.words, self.remedies = begins, words, remedies
 
     def __call__(self, rest: str = "") -> "Reason":
         """Return the reason as a sentence that goes on with its figures."""
@@ -181,4 +183,5 @@ class ReasonCount:
     def advice(self) -> str:
         """What a person with volumes can change about the most frequent kind; may be empty."""
         kinds = (each for each, _ in self._counts.most_common() if isinstance(each, SearchReason))
-        return next((each.track_advice for each in kinds if each.track_advice), "")
+        said = (advice(each.remedies, Reader.RECORDING) for each in kinds)
+        return next(filter(None, said), "")

@@ -46,6 +46,7 @@ from sonoservo.systems.files.writing import Unwritten, claim_folder, write_atomi
 from sonoservo.systems.recording.side_files import TRUTH, Truth, read_truth, side_path
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
+from sonoservo.systems.signals.search_reason import Reader
 from sonoservo.systems.signals.volume import Volume
 
 if TYPE_CHECKING:
@@ -219,7 +220,7 @@ def track_recording(
             **modes.figures(),
         }
         log = bench.log() if beside is None else beside.log()
-        figures = summarize(log)
+        figures = summarize(log, reader=Reader.RECORDING)
         kept = ("detection", "tracking", "compute_ms") if truth else ("compute_ms",)
         summary |= {name: figures[name] for name in kept}
         if correct_poses:

@@ -14,7 +14,7 @@ from sonoservo.systems.control.visual_features import needle_features
 from sonoservo.systems.display.console.slices import SlicePicture, line_classes
 from sonoservo.systems.signals.line_hypotheses import LineHypotheses
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
-from sonoservo.systems.signals.search_reason import SearchReason
+from sonoservo.systems.signals.search_reason import Reader, SearchReason, advice
 
 Floats = NDArray[np.float64]
 
@@ -141,17 +141,15 @@ def describe_state(sample: Sample | None) -> dict[str, str]:
     if not sample.mode:
         word = sample.reason or "showing"
         return {"kind": "showing", "word": word, "detail": "", "advice": ""}
-    kind, detail = sample.mode, sample.reason
-    advice = ""
+    kind, detail, said = sample.mode, sample.reason, ""
     if kind == "searching" and detail != _WAITING:
         reason = SearchReason.of(detail)
         if reason is not None:
             detail = reason.words
-            if math.isnan(sample.inserted):  # volumes of one's own
-                advice = reason.track_advice
-            elif sample.inserted > 0:  # without the needle in the body nothing is to be found
-                advice = reason.run_advice
-    return {"kind": kind, "word": kind, "detail": detail, "advice": advice}
+            recorded = math.isnan(sample.inserted)
+            if recorded or sample.inserted > 0:  # else there is nothing to be found
+                said = advice(reason.remedies, Reader.RECORDING if recorded else Reader.OPERATOR)
+    return {"kind": kind, "word": kind, "detail": detail, "advice": said}
 
 
 MINUTE = 60.0

@@ -133,6 +133,7 @@ def test_a_restart_keeps_what_was_done_before(console, tmp_path):
     assert max(push.speed for push in load_scenario(tmp_path / "scenario_1.yaml").hand.pushes) > 0
     assert result.log.time[-1] == pytest.approx(1.5, abs=0.05)
     assert not result.log.inserted_length.any()
+    assert result.summary["detection"]["advice"] == "Push it in before the run ends."  # no fields
 
 
 def test_an_earlier_drive_into_the_same_folder_is_kept(console, tmp_path):

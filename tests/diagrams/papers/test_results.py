@@ -8,7 +8,6 @@ import pytest
 from sonoservo.diagrams.papers import results
 from sonoservo.diagrams.studies import records
 from sonoservo.diagrams.studies.fingerprint import made_by
-from sonoservo.diagrams.studies.records import Records
 from sonoservo.diagrams.studies.study import Case, Outcome
 from sonoservo.diagrams.studies.study_report import Study, StudyRow
 from sonoservo.systems.files.refusals import ConfigurationError
@@ -59,9 +58,8 @@ def house(study, tmp_path, monkeypatch):
     seen = []
     reproduction = SimpleNamespace(report=lambda found: seen.append(found) or study)
     monkeypatch.setattr(results, "import_module", lambda name: reproduction)
-    results.kept_results.cache_clear()
     yield tmp_path, seen
-    results.kept_results.cache_clear()
+    results._tables.cache_clear()
 
 
 def test_records_are_kept_and_become_tables(study, house):
@@ -69,7 +67,6 @@ def test_records_are_kept_and_become_tables(study, house):
     page = folder / "page.md"
     results.write_tables()
     assert "no results yet" in page.read_text()
-    results.kept_results.cache_clear()
     results.keep_records({"chatelain2013": study.outcomes}, "sonoservo reproduce all")
     text = page.read_text()
     assert (
@@ -141,21 +138,21 @@ def test_a_repeat_of_some_runs_says_that_other_code_gives_the_same_figures(
 ):
     page = house[0] / "page.md"
     results.keep_records({"chatelain2013": study.outcomes}, "sonoservo reproduce all")
-    monkeypatch.setattr(Records, "is_outdated", True)  # as after a change of the code
-    results.kept_results.cache_clear()
+    monkeypatch.setattr(records, "is_outdated", lambda identity: True)  # the code has changed
+    results._tables.cache_clear()
     assert results.CHANGED in results.with_tables(page.read_text())
-    monkeypatch.setattr(results, "present_commit", lambda: "def")
+    monkeypatch.setattr(records, "present_commit", lambda: "def")
     for _ in range(2):
         results.keep_repeat("chatelain2013", 20)
     again = " 20 of the runs, made again by commit def ("
     assert page.read_text().count(again) == 1
     assert results.CHANGED not in page.read_text()
-    monkeypatch.setattr(results, "code_fingerprint", lambda module: "changed once more")
-    results.kept_results.cache_clear()
+    monkeypatch.setattr(records, "code_fingerprint", lambda module: "changed once more")
+    results._tables.cache_clear()
     text = results.with_tables(page.read_text())
     assert results.CHANGED in text
     assert again not in text
-    monkeypatch.setattr(results, "present_commit", lambda: "def+")
+    monkeypatch.setattr(records, "present_commit", lambda: "def+")
     with pytest.raises(ConfigurationError, match="not committed"):
         results.keep_repeat("chatelain2013", 20)
     (house[0] / "pyproject.toml").unlink()

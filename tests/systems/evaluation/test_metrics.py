@@ -8,6 +8,7 @@ from synthetic_logs import build_log
 from sonoservo.systems.evaluation import summarize
 from sonoservo.systems.evaluation.metrics import missing_needle
 from sonoservo.systems.signals import ReasonCount
+from sonoservo.systems.signals.search_reason import Reader, advice
 
 
 def test_the_whole_summary_is_json(insertion_log, make_log):
@@ -227,27 +228,34 @@ def log(reasons, visible=0.03, inserted=0.05, measured=None):
     )
 
 
+def told(run, reader=Reader.SCENARIO):
+    reason, remedies = missing_needle(run)
+    return reason, advice(remedies, reader)
+
+
 def test_the_most_frequent_reason_while_the_needle_is_in_view_counts():
-    reason, advice = missing_needle(log([NONE, MOVED, MOVED, STILL, NONE, STILL, STILL]))
+    reason, change = told(log([NONE, MOVED, MOVED, STILL, NONE, STILL, STILL]))
     assert reason == "Nothing changed by more than 2.1 dB."
-    assert advice.startswith("Push the needle into view (hand.pushes, hand.aim)")
-    reason, advice = missing_needle(
-        log([NONE, NONE, "the change is spread over 9 mm", NONE, MOVED, STILL])
-    )
+    assert change.startswith("push the needle in while the probe looks on (hand.pushes, hand.aim)")
+    for reader, name in ((Reader.OPERATOR, ""), (Reader.RECORDING, " (--start anywhere)")):
+        _, change = told(log([NONE, STILL, STILL]), reader)
+        assert change.endswith(f"or look for it in whole volumes{name}")
+        assert "hand." not in change
+    reason, change = told(log([NONE, NONE, "the change is spread over 9 mm", NONE, MOVED, STILL]))
     assert reason == "The change is spread over 31 mm."
-    assert "more slowly" in advice
+    assert "more slowly" in change
     line = "no line stands out as a needle does"  # of a search in the whole volume
-    reason, advice = missing_needle(log(["a needle is being tracked"] * 4, measured=[line] * 4))
+    reason, change = told(log(["a needle is being tracked"] * 4, measured=[line] * 4))
     assert reason == "No line stands out as a needle does."
-    assert "hand.dip_deg" in advice
+    assert "hand.dip_deg" in change
 
 
 def test_a_detection_that_is_not_confirmed_is_said_to_be_so():
     """The needle comes to rest before enough volumes show its motion."""
     fast = log([""] * 4, measured=["no needle has been detected"] * 4)
-    reason, advice = missing_needle(replace(fast, volume_detected=np.ones(4, bool)))
+    reason, change = told(replace(fast, volume_detected=np.ones(4, bool)))
     assert reason == "Something moved; the needle is not confirmed yet."
-    assert "more slowly" in advice
+    assert "more slowly" in change
 
 
 @pytest.mark.parametrize(
@@ -258,15 +266,15 @@ def test_a_detection_that_is_not_confirmed_is_said_to_be_so():
     ],
 )
 def test_a_needle_that_could_not_be_seen_is_said_to_be_so(truth, beginning, field):
-    reason, advice = missing_needle(log([NONE, STILL, STILL], **truth))
+    reason, change = told(log([NONE, STILL, STILL], **truth))
     assert reason.startswith(beginning)
-    assert field in advice
+    assert field in change
 
 
 def test_a_run_too_short_for_a_volume_says_so():
-    assert missing_needle(build_log(0, 0)) == (
+    assert told(build_log(0, 0)) == (
         "No volume was acquired.",
-        "Let the run be longer (duration).",
+        "let the run be longer (duration)",
     )
 
 

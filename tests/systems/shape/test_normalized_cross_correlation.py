@@ -8,6 +8,7 @@ from skimage.feature import match_template
 
 from sonoservo.systems.shape.normalized_cross_correlation import (
     Match,
+    _peak_offset,
     best_match,
     normalized_cross_correlation,
 )
@@ -110,12 +111,18 @@ def test_constant_windows_correlate_with_nothing(level, dtype):
         (np.eye(4), np.array([[1, np.inf], [0, 1]]), "not finite"),
         (np.eye(4), np.ones((2, 2)), "kernel is constant"),
         (np.ones((4, 4)), np.eye(2), "resembles"),
+        (np.zeros((4, 4)), np.eye(2), "resembles"),
     ],
 )
 def test_says_why_there_is_no_match(search, kernel, reason):
     found = best_match(search, kernel)
     assert not found
     assert reason in found.reason
+
+
+@pytest.mark.parametrize("level", [0.0, 0.5])
+def test_a_constant_patch_has_its_peak_in_the_middle(level):
+    assert _peak_offset(np.full((3, 3), level)).tolist() == [0, 0]
 
 
 def test_shapes_that_do_not_fit_are_refused():

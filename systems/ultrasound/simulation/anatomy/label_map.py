@@ -1,7 +1,6 @@
 """Label maps: segmented anatomy from NRRD and NIfTI files."""
 
 import io
-import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -10,17 +9,15 @@ import nrrd
 import numpy as np
 from numpy.typing import NDArray
 
+from sonoservo.systems.files.nifti_reader import open_nifti
 from sonoservo.systems.files.nrrd_reader import SPACES, open_nrrd
 from sonoservo.systems.files.refusals import refusing_failures
-from sonoservo.systems.files.volume_file import MAX_DEFLATED, check_layout, require_voxels
+from sonoservo.systems.files.volume_file import VolumeFile
 from sonoservo.systems.files.writing import write_atomically
 from sonoservo.systems.signals.immutable import Immutable, Shape
 from sonoservo.systems.signals.requirements import require
 
 LABEL_MAP_SUFFIXES = (".nrrd", ".nhdr", ".nii", ".nii.gz")
-
-_METRES = {"unknown": 1e-3, "meter": 1.0, "mm": 1e-3, "micron": 1e-6}
-"""Length in m of the units that NIfTI has; "unknown" is mm by custom."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +60,11 @@ def read_label_map(path: str | Path) -> LabelMap:
         raise FileNotFoundError(f"anatomy: there is no file {path}")
     nifti = str(path).lower().endswith((".nii", ".nii.gz"))
     with refusing_failures(path, "its data cannot be read"):
-        return _read_nifti(path) if nifti else _read_nrrd(path)
+        file = open_nifti(path) if nifti else open_nrrd(path)
+        require(file.count == 1, "sizes", file.shape, "those of a single label map, not a sequence")
+        if not nifti:
+            _require_placed(file)
+        return _label_map(file.read(0), 1e-3 * file.directions, 1e-3 * file.origin)
 
 
 def write_label_map(path: str | Path, label_map: LabelMap) -> Path:
@@ -81,9 +82,8 @@ def write_label_map(path: str | Path, label_map: LabelMap) -> Path:
     return write_atomically(path, buffer.getvalue())
 
 
-def _read_nrrd(path: Path) -> LabelMap:
-    file = open_nrrd(path)
-    require(file.count == 1, "sizes", file.shape, "those of a single label map, not a sequence")
+def _require_placed(file: VolumeFile) -> None:
+    """Refuse an NRRD file that does not state how its voxels lie in a patient."""
     known = ", ".join(name for name in SPACES if "-" in name)
     space = file.fields.get("space", "lps").lower()
     require(space in SPACES, "space", space, f"one of {known}")
@@ -93,34 +93,6 @@ def _read_nrrd(path: Path) -> LabelMap:
         None,
         "three vectors of numbers",
     )
-    return _label_map(file.read(0), 1e-3 * file.directions, 1e-3 * file.origin)
-
-
-def _read_nifti(path: Path) -> LabelMap:
-    import nibabel
-
-    with refusing_failures(path, "is no NIfTI file"):
-        image = nibabel.load(path)
-        shape = list(image.shape)
-        while len(shape) > 3 and shape[-1] == 1:
-            shape.pop()
-        require(len(shape) == 3, "sizes", shape, "those of three axes: one label a voxel")
-        check_layout(path, tuple(shape), 1, np.array(image.affine, float)[:3, :3])
-        require_voxels(path, shape)
-        _require_present(path, math.prod(shape) * image.get_data_dtype().itemsize)
-        data = np.asanyarray(image.dataobj).reshape(shape)
-    unit = image.header.get_xyzt_units()[0]
-    require(unit in _METRES, "xyzt_units", unit, f"one of {', '.join(_METRES)}")
-    affine = np.array(image.affine, dtype=float)
-    scale = _METRES[unit] * np.array(SPACES["ras"], float)
-    return _label_map(data, scale[:, np.newaxis] * affine[:3, :3], scale * affine[:3, 3])
-
-
-def _require_present(path: Path, size: int) -> None:
-    """Refuse a file that is too small for the data that its header announces."""
-    packed = path.suffix.lower() == ".gz"
-    present = path.stat().st_size * (MAX_DEFLATED if packed else 1)
-    require(size <= present, "header", size, f"that of at most {present} bytes of voxels")
 
 
 def _label_map(

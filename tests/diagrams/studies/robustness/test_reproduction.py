@@ -278,7 +278,9 @@ def test_the_whole_study_in_short(tmp_path, monkeypatch):
     page = (tmp_path / "report.html").read_text()
     assert page.count("data:image/png;base64,") == len(names)
     monkeypatch.setattr(records, "present_commit", lambda: "abc")
-    records.write_records(tmp_path / "kept.gz", study.outcomes, "reproduce")
+    records.write_records(
+        tmp_path / "kept.gz", records.present_records(study.outcomes, "reproduce")
+    )
     kept = records.read_records(tmp_path / "kept.gz")
     assert not kept.is_outdated
     again = report(kept.outcomes)

@@ -65,6 +65,15 @@ def test_nifti_speaks_of_the_right_and_the_front(tmp_path):
     np.testing.assert_allclose(read.X_LV, written.X_LV, atol=1e-6)
 
 
+def test_nifti_without_a_pose_lies_as_itk_has_it(tmp_path):
+    image = nibabel.Nifti1Image(ball_map().labels[..., np.newaxis, np.newaxis], None)
+    image.header.set_zooms((1, 2, 3, 1, 1))
+    nibabel.save(image, tmp_path / "m.nii")
+    read = read_label_map(tmp_path / "m.nii")
+    np.testing.assert_array_equal(read.labels, ball_map().labels)
+    np.testing.assert_allclose(read.X_LV, np.diag([1e-3, 2e-3, 3e-3, 1]))
+
+
 def test_ras_nrrd_is_turned(tmp_path):
     header = lps([1.0, 2, 3]) | {"space": "RAS", "space origin": [1.0, 2, 3]}
     nrrd.write(str(tmp_path / "m.nrrd"), np.zeros(SHAPE, np.uint8), header)

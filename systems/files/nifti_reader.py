@@ -24,10 +24,12 @@ def open_nifti(path: Path, *, frames: bool = False) -> VolumeFile:
 
     with refusing_failures(path, "it is no NIfTI file"):
         image: Any = nibabel.load(path)
-        sizes, header = image.shape, image.header
+        header, sizes = image.header, list(image.shape)
+        while len(sizes) > 4 and sizes[-1] == 1:
+            sizes.pop()
         if len(sizes) not in (3, 4):
             raise ConfigurationError(
-                f"{path}: dim: {list(sizes)} is not allowed; a volume has 3 axes, a sequence 4"
+                f"{path}: dim: {sizes} is not allowed; a volume has 3 axes, a sequence 4"
             )
         length, duration = header.get_xyzt_units()
         unit = "" if length == "unknown" else length
@@ -36,7 +38,7 @@ def open_nifti(path: Path, *, frames: bool = False) -> VolumeFile:
         ras = np.array([-1.0, -1.0, 1.0]) * MILLIMETRES[unit]
         affine, unplaced = _affine(header)
         directions, origin = ras[:, np.newaxis] * affine[:3, :3], ras * affine[:3, 3]
-        shape, count = sizes[:3], sizes[3] if len(sizes) == 4 else 1
+        shape, count = tuple(sizes[:3]), sizes[3] if len(sizes) == 4 else 1
         check_layout(path, shape, count, directions, frames=frames)
         require_voxels(path, shape)  # before any voxel is looked for
         dtype = image.get_data_dtype()
@@ -55,8 +57,8 @@ def open_nifti(path: Path, *, frames: bool = False) -> VolumeFile:
 
     def read(number: int) -> NDArray[Any]:
         with refusing_failures(path, "its voxels cannot be read"):
-            voxels = image.dataobj[..., number] if len(sizes) == 4 else image.dataobj
-            voxels = np.asarray(voxels)
+            voxels = image.dataobj[:, :, :, number] if len(sizes) == 4 else image.dataobj
+            voxels = np.asarray(voxels).reshape(shape)
         return np.stack([voxels[each] for each in colours], axis=-1) if colours else voxels
 
     unmeasured = ["it states no unit of length; mm are taken"] if length == "unknown" else []
