@@ -168,7 +168,7 @@ def run_command(
         after_step=viewed,
         progress=console,
     )
-    result = _carry_out(act, loaded, folder, viewed, serve, page, pages, results)
+    result = _carry_out(act, loaded, folder, viewed, serve, pages, results)
     if not result.failure and result.summary["interrupted"]:
         raise typer.Exit(INTERRUPTED)
     end_run(result)
@@ -180,7 +180,6 @@ def _carry_out(
     folder: Path,
     viewed: "ViewedRun",
     serve: Serving,
-    page: Page,
     pages: "Pages | None",
     results: Results,
     *,
@@ -196,7 +195,7 @@ def _carry_out(
         def begin() -> None:
             await_peers()
             if pages:
-                pages.announce(console, page)
+                pages.announce(console)
             if how:
                 console.print(how)
 
@@ -251,9 +250,7 @@ def drive_command(
     command = shlex.join(["sonoservo", "run", str(folder / "scenario.yaml")])
     again = f"To repeat this run: {command}"
     end_run(
-        _carry_out(
-            act, following, folder, viewed, serve, page, pages, results, how=DRIVING, again=again
-        )
+        _carry_out(act, following, folder, viewed, serve, pages, results, how=DRIVING, again=again)
     )
 
 

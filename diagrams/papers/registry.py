@@ -1,12 +1,16 @@
 """Registry of the papers and studies that ``sonoservo reproduce`` knows.
 
-A new paper is a package beside this module, with a module `reproduction` that has a function
-``reproduce(options: StudyOptions) -> Study``, and a line in `PAPERS`. A study of no paper is such a
-package among the studies, and an entry here.
+A new paper is a package beside this module, and a line in `PAPERS`. Its module `reproduction` has a
+function ``run(options: StudyOptions) -> list[Outcome]``, and its module `report` a function
+``report(outcomes, folder=None) -> Study``. A study of no paper is such a package among the studies,
+and an entry here.
 """
 
 from importlib import import_module
+from types import ModuleType
 from typing import TYPE_CHECKING
+
+from rich.console import Console
 
 from sonoservo.diagrams.published import PAPERS
 from sonoservo.systems.files.refusals import ConfigurationError
@@ -30,11 +34,16 @@ def require_paper(paper: str) -> None:
         raise ConfigurationError(f"unknown paper {paper!r}; {suggest(paper, known)}")
 
 
-def reproduce(paper: str, options: "StudyOptions") -> "Study":
-    """Repeat the experiments of one of the `PAPERS` or `STUDIES`, and return the study."""
+def module_of(paper: str, name: str) -> ModuleType:
+    """Return the module ``reproduction`` or ``report`` of one of the `PAPERS` or `STUDIES`."""
     require_paper(paper)
     room = "papers" if paper in PAPERS else "studies"
-    study: Study = import_module(f"sonoservo.diagrams.{room}.{paper}.reproduction").reproduce(
-        options
-    )
-    return study
+    return import_module(f"sonoservo.diagrams.{room}.{paper}.{name}")
+
+
+def reproduce(paper: str, options: "StudyOptions") -> "Study":
+    """Repeat the experiments of one of the `PAPERS` or `STUDIES`, and return the study."""
+    outcomes = module_of(paper, "reproduction").run(options)
+    with (options.console or Console(quiet=True)).status("Making the report ..."):
+        study: Study = module_of(paper, "report").report(outcomes, options.folder)
+        return study

@@ -18,7 +18,7 @@ from typing import Any
 
 from numba import config
 
-from sonoservo.diagrams.papers.registry import STUDIES
+from sonoservo.diagrams.papers.registry import STUDIES, module_of
 from sonoservo.diagrams.published import PAPERS
 from sonoservo.diagrams.studies.fingerprint import RECORDS, made_with
 from sonoservo.diagrams.studies.records import (
@@ -209,8 +209,7 @@ def _tables(name: str) -> _Tables | None:
 
 
 def _study_tables(name: str, outcomes: Sequence[Outcome], made: dict[str, Any]) -> _Tables:
-    package = _KEPT[name].folder.replace("/", ".")
-    study: Study = import_module(f"sonoservo.diagrams.{package}.reproduction").report(outcomes)
+    study: Study = module_of(name, "report").report(outcomes)
     return partial(results_table, study.as_json(made["command"]) | made)
 
 

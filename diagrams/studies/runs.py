@@ -158,6 +158,8 @@ def run_study(
     if not chosen:
         known = ", ".join(dict.fromkeys(each.experiment for each in cases))
         raise ConfigurationError(f"--only: no experiment begins with {options.only!r}; {known}")
+    if options.choose:
+        chosen = [*options.choose(chosen)]
     outcomes = run_cases(
         work,
         chosen,

@@ -29,6 +29,7 @@ class StudyOptions:
     seeds: int | None = None  # largest number of seeds of an experiment
     first_seed: Annotated[int, at_least(0)] = 0
     only: str = ""  # beginning of the names of the experiments to run
+    choose: Callable[[Sequence["Case"]], Sequence["Case"]] | None = None  # which of them to run
     jobs: int = -1
     cluster: "Executor | None" = None
     console: Console | None = None

@@ -33,7 +33,7 @@ def replay_command(
 
     replay = read_replay(folder)
     pages = open_pages(replay.title, page, kept=folder)
-    pages.announce(console, page)
+    pages.announce(console)
     if not (folder / "replay.html").is_file():
         console.print("There is no replay.html: run with a page or with --replay for the world.")
     console.print("The slider `time` turns the run back and forth; Ctrl-C ends the replay.")

@@ -83,7 +83,7 @@ def track_command(
         from sonoservo.diagrams.app.pages.pages import open_pages
 
         pages = open_pages(title, page, world=False)
-        pages.announce(console, page)
+        pages.announce(console)
         return pages
 
     if live:

@@ -24,13 +24,14 @@ _REPLAY = "replay.html"
 class Pages:
     """Site of a command, its console, and the Meshcat that draws the world, if Drake's does."""
 
+    page: Page
     site: Site
     console: Console
     meshcat: Meshcat | None = None
 
-    def announce(self, terminal: Terminal, page: Page) -> None:
+    def announce(self, terminal: Terminal) -> None:
         """Print the console's address, and open it for a person at a terminal of this desktop."""
-        announce(terminal, "Watch at", self.console.web_url, page)
+        announce(terminal, "Watch at", self.console.web_url, self.page)
 
     def end(self, terminal: Terminal, said: str, report: Path | None = None) -> None:
         """Say in the page that the run has ended, link its report, and serve the files beside it.
@@ -61,7 +62,8 @@ def open_pages(
     Without a ``world``, the console draws a view of the probe; a folder ``kept`` has the
     replay.html that takes the world's place. ConfigurationError if it cannot listen there.
     """
-    site = open_site(page or Page())
+    page = page or Page()
+    site = open_site(page)
     meshcat = open_meshcat(site) if world and kept is None else None
     shown: str | None = "world" if world else ""
     if kept is not None:
@@ -69,7 +71,7 @@ def open_pages(
     console = Console(site, title=title, world=shown)
     if kept is not None:
         _serve_results(site, console, kept / "report.html")
-    return Pages(site=site, console=console, meshcat=meshcat)
+    return Pages(page=page, site=site, console=console, meshcat=meshcat)
 
 
 def open_site(page: Page) -> Site:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -31,8 +32,8 @@ NAMES = {
 }
 
 
-def report(outcomes: Sequence[Outcome], pictured: bool = False) -> Study:
-    """Return the study of the runs of all experiments, with its figures on request."""
+def report(outcomes: Sequence[Outcome], folder: Path | None = None) -> Study:
+    """Return the study of finished runs; without its folder, there are no figures."""
     rows = [
         row for name in PROTOCOLS if (mine := _of(outcomes, name)) for row in set_rows(name, mine)
     ]
@@ -42,7 +43,7 @@ def report(outcomes: Sequence[Outcome], pictured: bool = False) -> Study:
         "soft-tissue based on image segmentation and particle filtering (AIM 2016)",
         rows=[*rows, *(row for name in SETS for row in sweep_rows(_of(outcomes, name)))],
         outcomes=outcomes,
-        figures=_figures(outcomes) if pictured else (),
+        figures=_figures(outcomes) if folder else (),
         compute_ms=_compute(outcomes),
         notes=read_notes("sonoservo.diagrams.papers.carriere2016", bevel_mark_deg=BEVEL_MARK_DEG),
     )

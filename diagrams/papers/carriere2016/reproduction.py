@@ -18,15 +18,13 @@ from sonoservo.diagrams.papers.carriere2016.protocols import (
     SETS,
     SWEEP_SEEDS,
 )
-from sonoservo.diagrams.papers.carriere2016.report import report
 from sonoservo.diagrams.papers.carriere2016.runs import UNTAUGHT, run_needle, teach
 from sonoservo.diagrams.studies.runs import run_study
 from sonoservo.diagrams.studies.study import Case, Outcome, StudyOptions
-from sonoservo.diagrams.studies.study_report import Study
 from sonoservo.systems.shape.shape_posterior import WanderParameters, combined_wander
 
 
-def reproduce(options: StudyOptions) -> Study:
+def run(options: StudyOptions) -> list[Outcome]:
     """Run the study."""
     lessons = _lessons(options)
     cases = []
@@ -41,8 +39,7 @@ def reproduce(options: StudyOptions) -> Study:
         for number, seed in enumerate(options.seed_range(protocol.seeds, protocol.quick)):
             more = {"sweeps": number < swept, "keep": number == 0}
             cases.append(Case(name, seed, {**settings, **more}))
-    outcomes = run_study(run_needle, cases, options)
-    return report(outcomes, pictured=True)
+    return run_study(run_needle, cases, options)
 
 
 def _lessons(options: StudyOptions) -> dict[str, dict[str, Any]]:

@@ -40,8 +40,9 @@ _ABLATION = "fig5, "
 """Beginning of the name of an experiment with one part of our method switched off."""
 
 
-def report(outcomes: Sequence[Outcome], logs: Path | None = None) -> Study:
-    """Return the study of finished runs; without the folder of their logs, there are no figures."""
+def report(outcomes: Sequence[Outcome], folder: Path | None = None) -> Study:
+    """Return the study of finished runs; without its folder, there are no figures."""
+    logs = folder and folder / "logs"
     names = dict.fromkeys(each.case.experiment.removesuffix(AS_PUBLISHED) for each in outcomes)
     ablations = [each.removeprefix(_ABLATION) for each in names if each.startswith(_ABLATION)]
     groups = {name: Comparison(outcomes, name, logs) for name in names}

@@ -10,13 +10,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from rich.console import Console
 
-from sonoservo.diagrams.papers.chatelain2013.report import report
 from sonoservo.diagrams.studies.following.analysis import AS_PUBLISHED, run_case
 from sonoservo.diagrams.studies.runs import run_study
-from sonoservo.diagrams.studies.study import Case, StudyOptions
-from sonoservo.diagrams.studies.study_report import Study
+from sonoservo.diagrams.studies.study import Case, Outcome, StudyOptions
 
 ABLATIONS: Mapping[str, Sequence[str]] = {
     "no filter": ["tracker.track.filtering=false"],
@@ -180,12 +177,9 @@ PROTOCOLS: Mapping[str, Protocol] = {
 }
 
 
-def reproduce(options: StudyOptions) -> Study:
-    """Run the experiments, and compare them with the paper."""
-    logs = options.folder / "logs"
-    outcomes = run_study(run_case, study_cases(options), options, logs=logs)
-    with (options.console or Console(quiet=True)).status("Making the report from the logs ..."):
-        return report(outcomes, logs)
+def run(options: StudyOptions) -> list[Outcome]:
+    """Run the experiments."""
+    return run_study(run_case, study_cases(options), options, logs=options.folder / "logs")
 
 
 def study_cases(options: StudyOptions) -> list[Case]:

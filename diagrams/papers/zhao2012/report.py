@@ -99,8 +99,8 @@ def tracking_errors(outcomes: Sequence[Outcome], experiment: str) -> Errors | No
     return Errors(lengths, squared, missing.mean(axis=(0, 1, 2)))
 
 
-def report(outcomes: Sequence[Outcome], logs: Path | None = None) -> Study:
-    """Return the study of finished runs; without the folder of their logs, there are no figures."""
+def report(outcomes: Sequence[Outcome], folder: Path | None = None) -> Study:
+    """Return the study of finished runs; without its folder, there are no figures."""
     rows: list[StudyRow] = []
     figures = []
     names = dict.fromkeys(each.case.experiment for each in outcomes)
@@ -111,12 +111,12 @@ def report(outcomes: Sequence[Outcome], logs: Path | None = None) -> Study:
             continue
         published = name.endswith(_KINDS)
         rows += _reductions(name, errors, published) + _absolutes(name, errors)
-        if published and logs:
+        if published and folder:
             figures += plot_rmse(name, errors.lengths, errors.rmse(), NAMES)
     speeds = {name: speed_errors(outcomes, name) for name in dynamic}
     for name, found in speeds.items():
         rows += speed_rows(name, found)
-    if logs and any(speeds.values()):
+    if folder and any(speeds.values()):
         figures.append(plot_speeds(speeds))
     rows += _kept_voxel_rows(outcomes) + _open_value_rows(outcomes) + loop_rows(outcomes)
     seconds = [s for each in outcomes for s in each.result.get("seconds", [])]

@@ -8,13 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from sonoservo.diagrams.papers.zhao2012.report import report
 from sonoservo.diagrams.papers.zhao2012.runs import run_case
 from sonoservo.diagrams.papers.zhao2012.speed_report import INTERACTING, NO_VELOCIMETER
 from sonoservo.diagrams.studies.following.analysis import AS_PUBLISHED
 from sonoservo.diagrams.studies.runs import run_study
-from sonoservo.diagrams.studies.study import Case, StudyOptions
-from sonoservo.diagrams.studies.study_report import Study
+from sonoservo.diagrams.studies.study import Case, Outcome, StudyOptions
 
 INTERVAL = 0.3
 """Time in s between volumes, of which the paper says nothing. The published search for the speckle
@@ -49,11 +47,9 @@ LOOP_PUSHES: Mapping[str, tuple[float, Sequence[tuple[float, float]]]] = {
 The first push brings the needle into view."""
 
 
-def reproduce(options: StudyOptions) -> Study:
-    """Run the experiments, and compare them with the paper."""
-    logs = options.folder / "logs"
-    outcomes = run_study(run_case, study_cases(options), options, logs=logs)
-    return report(outcomes, logs)
+def run(options: StudyOptions) -> list[Outcome]:
+    """Run the experiments."""
+    return run_study(run_case, study_cases(options), options, logs=options.folder / "logs")
 
 
 def study_cases(options: StudyOptions) -> list[Case]:

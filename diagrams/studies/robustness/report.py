@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from sonoservo.diagrams.studies.robustness.analysis import Group, Threshold, chased, threshold
@@ -70,8 +71,8 @@ class RobustnessStudy(Study):
         return super().as_json(command) | {"thresholds": [dict(each) for each in self.thresholds]}
 
 
-def report(outcomes: Sequence[Outcome], pictured: bool = False) -> RobustnessStudy:
-    """Return the study of finished runs, with its figures on request."""
+def report(outcomes: Sequence[Outcome], folder: Path | None = None) -> RobustnessStudy:
+    """Return the study of finished runs; without its folder, there are no figures."""
     groups = group_outcomes(outcomes)
     curves = dial_curves([each for each in outcomes if _is_shared(each)])
     thresholds = dial_thresholds(curves)
@@ -81,7 +82,7 @@ def report(outcomes: Sequence[Outcome], pictured: bool = False) -> RobustnessStu
         title=TITLE,
         rows=[*_threshold_rows(thresholds), *rows],
         outcomes=outcomes,
-        figures=study_figures(curves, groups) if pictured else (),
+        figures=study_figures(curves, groups) if folder else (),
         notes=[*([_threshold_note(thresholds)] if thresholds else []), *_notes()],
         thresholds=[
             {

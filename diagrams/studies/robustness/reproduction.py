@@ -8,9 +8,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from rich.console import Console
 
-from sonoservo.diagrams.studies.robustness.report import report
 from sonoservo.diagrams.studies.robustness.runs import (
     CLINIC,
     GRADED,
@@ -21,8 +19,7 @@ from sonoservo.diagrams.studies.robustness.runs import (
     turned,
 )
 from sonoservo.diagrams.studies.runs import run_study
-from sonoservo.diagrams.studies.study import Case, StudyOptions
-from sonoservo.diagrams.studies.study_report import Study
+from sonoservo.diagrams.studies.study import Case, Outcome, StudyOptions
 
 OPEN_SEEDS, CLOSED_SEEDS = (3, 1), (2, 1)
 """Number of seeds of each dial and strength, in the whole study and in a quick one."""
@@ -66,11 +63,9 @@ _QUICK_DIALS = ("faint needle", "breathing", "hand-eye calibration", "speed of s
 """Dials of a quick study."""
 
 
-def reproduce(options: StudyOptions) -> Study:
+def run(options: StudyOptions) -> list[Outcome]:
     """Run the study."""
-    outcomes = run_study(run_case, study_cases(options), options)
-    with (options.console or Console(quiet=True)).status("Making the report ..."):
-        return report(outcomes, pictured=True)
+    return run_study(run_case, study_cases(options), options)
 
 
 def study_cases(options: StudyOptions) -> list[Case]:

@@ -1,6 +1,7 @@
 """Kept runs made again: which are chosen, and what counts as another figure."""
 
 import time
+from types import SimpleNamespace
 
 import pytest
 
@@ -21,7 +22,7 @@ def work(case):
     return {"tips": tips, "compute": {"track": time.perf_counter()}}
 
 
-def reproduce(paper, options):
+def run(options):
     """A study of two steps, of which only the second is kept."""
     lessons = run_study(teach, [Case("lesson", 7)], options, folder="lessons")
     settings = {"learnt": lessons[0].result["learnt"]}
@@ -43,7 +44,7 @@ def kept(changed=None, learnt=2.33333):
 
 @pytest.fixture
 def repeat(tmp_path, monkeypatch):
-    monkeypatch.setattr(repeats, "reproduce", reproduce)
+    monkeypatch.setattr(repeats, "module_of", lambda *name: SimpleNamespace(run=run))
 
     def make(records, number):
         monkeypatch.setattr(repeats, "kept_records", lambda paper: records)
@@ -62,9 +63,8 @@ def test_some_runs_of_all_experiments_are_made_again_and_times_do_not_count(repe
 
 def test_runs_of_one_experiment_and_seed_are_told_apart_by_their_settings(repeat, monkeypatch):
     cases = [Case("plain", 0, {"learnt": learnt}) for learnt in (1.0, 2.0, 3.0)]
-    monkeypatch.setattr(
-        repeats, "reproduce", lambda paper, options: run_study(work, cases, options)
-    )
+    study = SimpleNamespace(run=lambda options: run_study(work, cases, options))
+    monkeypatch.setattr(repeats, "module_of", lambda *name: study)
     outcomes = [Outcome(case, {"tips": [0.0, None, case.settings["learnt"]]}) for case in cases]
     found = repeat(Records("", "abc", "", outcomes), 3)
     assert {each.name for each in found} == {case.name for case in cases}

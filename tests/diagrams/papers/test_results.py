@@ -56,8 +56,8 @@ def house(study, tmp_path, monkeypatch):
     monkeypatch.setattr(results, "PAGES", (tmp_path / "page.md",))
     monkeypatch.setattr(records, "present_commit", lambda: "abc")
     seen = []
-    reproduction = SimpleNamespace(report=lambda found: seen.append(found) or study)
-    monkeypatch.setattr(results, "import_module", lambda name: reproduction)
+    report = SimpleNamespace(report=lambda found: seen.append(found) or study)
+    monkeypatch.setattr(results, "module_of", lambda *name: report)
     yield tmp_path, seen
     results._tables.cache_clear()
 

@@ -59,6 +59,10 @@ def test_a_part_of_a_study_is_run_alone(tmp_path, calls):
     cases = [*make_cases(calls), Case("open, x", 7, {"calls": str(calls)})]
     options = StudyOptions(folder=tmp_path, jobs=1, only="open")
     assert [each.case for each in run_study(square, cases, options)] == cases[3:]
+    shown = Console(file=io.StringIO(), width=100)
+    options = StudyOptions(folder=tmp_path, jobs=1, choose=lambda each: each[:2], console=shown)
+    assert [each.case for each in run_study(square, cases, options)] == cases[:2]
+    assert " 2/2 " in shown.file.getvalue()  # what is left out is not to come
     with pytest.raises(ConfigurationError, match="no experiment begins with 'x'; squares, open, x"):
         run_study(square, cases, StudyOptions(folder=tmp_path, only="x"))
     with pytest.raises(ValueError, match="all must differ"):

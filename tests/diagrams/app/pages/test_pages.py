@@ -38,7 +38,7 @@ def opened():
 
     def open_them(console, **options):
         kept.append(open_pages("a test", **options))
-        kept[-1].announce(console, options.get("page") or Page())
+        kept[-1].announce(console)
         return kept[-1]
 
     yield open_them

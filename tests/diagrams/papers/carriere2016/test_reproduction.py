@@ -7,8 +7,8 @@ import pytest
 from sonoservo.diagrams.papers.carriere2016 import reproduction, runs
 from sonoservo.diagrams.papers.carriere2016.protocols import PROTOCOLS, Protocol
 from sonoservo.diagrams.papers.carriere2016.report import PAPER, set_rows, sweep_rows
-from sonoservo.diagrams.papers.carriere2016.reproduction import reproduce
 from sonoservo.diagrams.papers.carriere2016.runs import AS_PUBLISHED, TAUGHT, run_needle
+from sonoservo.diagrams.papers.registry import reproduce
 from sonoservo.diagrams.studies import Case, Outcome, StudyOptions, write_study
 
 SHORT = ["depth=0.03", "rotations=[0.02]", "observe_until=0.02", "step=1.5e-3"]
@@ -38,7 +38,7 @@ def study(tmp_path_factory):
         patch.setattr(reproduction, "QUICK_LESSON_SEEDS", range(900, 901))
         patch.setattr(runs, "SWEEPS", FEW)
         options = StudyOptions(folder=folder, quick=True, seeds=2, first_seed=100, jobs=1)
-        return reproduce(options)
+        return reproduce("carriere2016", options)
 
 
 @pytest.fixture(scope="module")

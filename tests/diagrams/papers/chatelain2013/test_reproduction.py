@@ -14,6 +14,7 @@ from sonoservo.diagrams.papers.chatelain2013.reproduction import (
     bent_insertion,
     study_cases,
 )
+from sonoservo.diagrams.papers.registry import reproduce
 from sonoservo.diagrams.studies import StudyOptions, write_study
 from sonoservo.diagrams.studies.following.analysis import AS_PUBLISHED, load_case
 from sonoservo.systems.needle import Insertion
@@ -87,7 +88,7 @@ def test_the_whole_study_in_short(tmp_path, monkeypatch):
         },
     )
     options = StudyOptions(folder=tmp_path, quick=True, jobs=1, first_seed=100)
-    study = chatelain2013.reproduce(options)
+    study = reproduce("chatelain2013", options)
     write_study(tmp_path, study, "sonoservo reproduce chatelain2013")
     data = json.loads((tmp_path / "study.json").read_text())
     rows = {(row["experiment"], row["quantity"]): row for row in data["rows"]}

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sonoservo.diagrams.papers.registry import reproduce
 from sonoservo.diagrams.papers.zhao2012 import reproduction as zhao2012
 from sonoservo.diagrams.papers.zhao2012.phantom import DIRECTION, Phantom, StraightNeedle
 from sonoservo.diagrams.papers.zhao2012.published_tracking import with_input
@@ -134,7 +135,7 @@ def test_rows_are_what_the_errors_say(monkeypatch, tmp_path):
     monkeypatch.setattr(
         zhao2012, "run_study", lambda *_, **__: outcomes([2.0, 1.0, 0.8, 0.5, 0.4, 0.4])
     )
-    study = zhao2012.reproduce(StudyOptions(folder=tmp_path))
+    study = reproduce("zhao2012", StudyOptions(folder=tmp_path))
     for experiment, published in (("static, fresh speckle", 58), ("dynamic, fresh speckle", 37)):
         alpha = row(study, experiment, "alpha: RMSE less than with RANSAC")
         assert (alpha.paper, alpha.true) == (published, pytest.approx(60))
@@ -165,7 +166,7 @@ def test_failures_and_missing_errors_count_as_the_worst_of_the_others(monkeypatc
     errors[5][0] = [None] * 6
     made[1].result["errors"][6][1] = [3.0] * 6
     monkeypatch.setattr(zhao2012, "run_study", lambda *_, **__: made)
-    study = zhao2012.reproduce(StudyOptions(folder=tmp_path))
+    study = reproduce("zhao2012", StudyOptions(folder=tmp_path))
     assert isinstance(study, Study)
     assert study.experiments["dynamic, fresh speckle"]["failed"] == 1
     alpha = row(study, "static, fresh speckle", "alpha: RMSE less than with RANSAC")

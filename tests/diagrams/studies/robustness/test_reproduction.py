@@ -9,6 +9,7 @@ from pydrake.math import RigidTransform, RotationMatrix
 
 from sonoservo.diagrams import load_scenario, make_insertion
 from sonoservo.diagrams.papers import results
+from sonoservo.diagrams.papers.registry import reproduce
 from sonoservo.diagrams.studies import Case, Outcome, StudyOptions, records, run_group, write_study
 from sonoservo.diagrams.studies.robustness import reproduction
 from sonoservo.diagrams.studies.robustness.analysis import Group, Record, threshold
@@ -262,7 +263,7 @@ def test_the_whole_study_in_short(tmp_path, monkeypatch):
     ]
     monkeypatch.setattr(reproduction, "study_cases", lambda options: cases)
     options = StudyOptions(folder=tmp_path, quick=True, jobs=1, first_seed=100)
-    study = reproduction.reproduce(options)
+    study = reproduce("robustness", options)
     write_study(tmp_path, study, "sonoservo reproduce robustness --quick")
     data = json.loads((tmp_path / "study.json").read_text())
     (failure,) = data["failures"]
