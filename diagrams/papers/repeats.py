@@ -12,7 +12,7 @@ from sonoservo.diagrams.papers.results import kept_records
 from sonoservo.diagrams.studies.study import Case, Outcome, StudyOptions
 from sonoservo.systems.files.refusals import ConfigurationError
 
-_CLOCK = frozenset({"compute", "compute_ms", "seconds", "track_time"})
+_CLOCK = frozenset({"compute", "compute_ms", "compute_s", "track_time"})
 """Figures that a clock of the computer measured: no two runs have the same."""
 
 

@@ -119,7 +119,7 @@ def report(outcomes: Sequence[Outcome], folder: Path | None = None) -> Study:
     if folder and any(speeds.values()):
         figures.append(plot_speeds(speeds))
     rows += _kept_voxel_rows(outcomes) + _open_value_rows(outcomes) + loop_rows(outcomes)
-    seconds = [s for each in outcomes for s in each.result.get("seconds", [])]
+    seconds = [s for each in outcomes for s in each.result.get("compute_s", [])]
     return Study(
         paper="zhao2012",
         title=TITLE,

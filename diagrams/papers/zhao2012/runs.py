@@ -154,7 +154,7 @@ def run_dynamic(case: Case) -> Mapping[str, Any]:
     return {
         "errors": estimators.errors,
         "speeds_mm_s": estimators.speeds,
-        "seconds": np.add(b_mode_seconds, estimators.seconds).tolist(),
+        "compute_s": np.add(b_mode_seconds, estimators.seconds).tolist(),
     }
 
 

@@ -121,7 +121,7 @@ def outcomes(scales):
             settings = {"lengths_mm": [5, 20], "phantom": seed}
             speeds = [[None] * 5, *[[1.1] * 5] * 15]
             settings |= {"speeds_mm_s": 15 * [1.0], "interval_s": 1.0}
-            result = {"errors": errors, "speeds_mm_s": speeds, "seconds": [0.02]}
+            result = {"errors": errors, "speeds_mm_s": speeds, "compute_s": [0.02]}
             made.append(Outcome(Case(name, seed, settings), result))
     return made
 
