@@ -1,10 +1,12 @@
-"""Pages of the reference: a page for each room, and one for the fields of each experiment."""
+"""Pages of the reference: rooms, fields of each experiment, and numbers of the tracker."""
 
+import ast
 import inspect
 from collections.abc import Iterator
 from html import escape
 from importlib import import_module
-from itertools import groupby
+from importlib.resources import files
+from itertools import groupby, pairwise
 from pathlib import Path
 
 from pydrake.systems.framework import Diagram, LeafSystem
@@ -40,6 +42,7 @@ def write_reference(folder: Path) -> None:
         write_atomically(folder / "fields" / f"{name}.md", fields_page(name))
     for room, words in ROOMS.items():
         write_atomically(folder / "python" / f"{room.split('.')[-1]}.md", room_page(room, words))
+    write_atomically(folder / "fields" / "numbers.md", numbers_page("systems.tracking"))
 
 
 def fields_page(name: str) -> str:
@@ -58,6 +61,36 @@ def fields_page(name: str) -> str:
 def _fields_table(rows: list[tuple[str, str, str]]) -> list[str]:
     lines = [f"| `{path}` | {text} | {default} |" for path, default, text in rows]
     return ["| field | meaning | default |", "|---|---|---|", *lines]
+
+
+def numbers_page(room: str) -> str:
+    """Return the page of the numbers in a room's modules, with their values and meanings."""
+    page = ["# Numbers of the tracker", "", "Those that are no fields of a scenario."]
+    for path in sorted(Path(str(files(f"sonoservo.{room}"))).glob("*.py")):
+        if rows := list(_numbers(path.read_text(encoding="utf-8"))):
+            title = path.stem.replace("_", " ").capitalize()
+            page += ["", f"## {title}", "", "| number | value | meaning |", "|---|---|---|", *rows]
+    return "\n".join(page) + "\n"
+
+
+def _numbers(source: str) -> Iterator[str]:
+    """Yield a row for each constant with numbers that a docstring or a comment explains."""
+    lines = source.splitlines()
+    for node, following in pairwise([*ast.parse(source).body, ast.Pass()]):
+        if not isinstance(node, ast.Assign) or not any(
+            isinstance(each, ast.Constant) and type(each.value) in (int, float)
+            for each in ast.walk(node.value)
+        ):
+            continue
+        match following:
+            case ast.Expr(value=ast.Constant(value=str(meaning))):
+                pass
+            case _:
+                meaning = lines[node.lineno - 1].partition("  # ")[2]
+        if meaning:
+            words = escape(" ".join(meaning.split()), quote=False)
+            name = ast.unparse(node.targets[0]).strip("()")
+            yield f"| `{name}` | `{ast.unparse(node.value)}` | {words} |"
 
 
 def room_page(room: str, words: str) -> str:

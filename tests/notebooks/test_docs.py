@@ -54,6 +54,21 @@ def test_links_lead_somewhere(path):
             assert (path.parent / target).exists(), target
 
 
+def test_numbers_stand_beside_their_meanings():
+    numbers = runpy.run_path(str(DOCS / "reference.py"))["_numbers"]
+    source = '''A, _B = 1.0, 2
+"""Meaning of both,
+in m."""
+NAME = "no number"
+C = 3  # meaning < here
+_UNEXPLAINED = 4
+'''
+    assert list(numbers(source)) == [
+        "| `A, _B` | `(1.0, 2)` | Meaning of both, in m. |",
+        "| `C` | `3` | meaning &lt; here |",
+    ]
+
+
 def test_every_room_has_its_page_in_the_reference():
     rooms = runpy.run_path(str(DOCS / "reference.py"))["ROOMS"]
     pages = re.findall(r"^python/(\w+)$", (DOCS / "python.md").read_text(encoding="utf-8"), re.M)
