@@ -1,14 +1,14 @@
-"""Kept runs that are made again, and whether they give the figures that were kept."""
+"""Kept runs: which are missing, and whether those made again give the figures that were kept."""
 
 import hashlib
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import zip_longest
 from typing import Any
 
 from sonoservo.diagrams.papers.registry import module_of
-from sonoservo.diagrams.papers.results import kept_records
+from sonoservo.diagrams.papers.results import kept_records, require_addable
 from sonoservo.diagrams.studies.study import Case, Outcome, StudyOptions
 from sonoservo.systems.files.refusals import ConfigurationError
 
@@ -22,6 +22,26 @@ class Repeat:
 
     name: str
     difference: str
+
+
+Choice = Callable[[Sequence[Case]], Sequence[Case]]
+
+
+def choose_missing(paper: str) -> Choice:
+    """Return the choice of those cases of a study of which no records are kept.
+
+    ConfigurationError, then or when it chooses, if other code made those that are kept, or none is
+    missing.
+    """
+    kept = require_addable(paper).outcomes
+
+    def choose(cases: Sequence[Case]) -> Sequence[Case]:
+        missing = [each for each in cases if _record(kept, each) is None]
+        if not missing:
+            raise ConfigurationError("--add: all these runs are kept already")
+        return missing
+
+    return choose
 
 
 def repeat_kept_runs(paper: str, number: int, options: StudyOptions) -> list[Repeat]:

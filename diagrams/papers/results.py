@@ -23,6 +23,7 @@ from sonoservo.diagrams.published import PAPERS
 from sonoservo.diagrams.studies.fingerprint import RECORDS, made_with
 from sonoservo.diagrams.studies.records import (
     Records,
+    joined_records,
     kept_commit,
     present_code,
     present_records,
@@ -71,12 +72,30 @@ _MAIN_FIGURES = {
 """Quantities of the study of robustness that judge a tracker, each with the prefix of its keys."""
 
 
-def keep_records(outcomes: Mapping[str, Sequence[Outcome]], command: str) -> None:
-    """Keep records of runs in the packages that made them, and write the tables made of them."""
+def keep_records(
+    outcomes: Mapping[str, Sequence[Outcome]], command: str, *, adds: bool = False
+) -> None:
+    """Keep records of runs in the packages that made them, and write the tables made of them.
+
+    They are added to those that are kept, or replace them.
+    """
     _require_checkout()
     for name, each in outcomes.items():
-        write_records(_path(name), present_records(each, command))
+        records = _joined(name, each, command) if adds else present_records(each, command)
+        write_records(_path(name), records)
     write_tables()
+
+
+def require_addable(name: str) -> Records:
+    """Return the records of a study; ConfigurationError unless the present code made them."""
+    _require_checkout()
+    return _joined(name, (), "")
+
+
+def _joined(name: str, outcomes: Sequence[Outcome], command: str) -> Records:
+    if (kept := kept_records(name)) is None:
+        raise ConfigurationError(f"--keep: no records of {name} are kept to which to add")
+    return joined_records(kept, outcomes, command)
 
 
 def kept_records(name: str) -> Records | None:

@@ -151,6 +151,10 @@ def reproduce_command(
     keep: Annotated[
         bool, typer.Option("--keep", help="Keep the results in the repository, with its tables.")
     ] = False,
+    add: Annotated[
+        bool,
+        typer.Option("--add", help="Make only what is not kept yet, and keep it beside the rest."),
+    ] = False,
     repeat: Annotated[
         int | None,
         typer.Option(min=1, help="Make so many of the kept runs again, and compare the figures."),
@@ -166,23 +170,27 @@ def reproduce_command(
     for each in papers:
         require_paper(each)
     if repeat is not None:
-        if quick or seeds or first_seed or only or finished or results.out:
+        if quick or seeds or first_seed or only or finished or add or results.out:
             raise ConfigurationError(
                 "--repeat: it takes the kept runs as they are; leave out --quick, --seeds, "
-                "--first-seed, --only, --finished and --out"
+                "--first-seed, --only, --finished, --add and --out"
             )
         _repeat(papers, repeat, workers, results, keep=keep)
         return
-    if keep and (quick or first_seed or only):
+    if (keep and (quick or first_seed or only)) or (add and quick):
         raise ConfigurationError(
-            "--keep: no results of a quick study, of other seeds or of a part are kept"
+            "--keep: no results of a quick study, of other seeds or of a part are kept; "
+            "--add adds other seeds or a part"
         )
     with console.status(f"Preparing to reproduce {paper} ..."):  # seconds, where files are cold
         from sonoservo.diagrams.app.terminal import study_table
+        from sonoservo.diagrams.papers.repeats import choose_missing
         from sonoservo.diagrams.papers.results import keep_records
         from sonoservo.diagrams.studies.processes import FinishedOnly
         from sonoservo.diagrams.studies.study import StudyOptions
         from sonoservo.diagrams.studies.study_report import write_studies, write_study
+
+        choices = {each: choose_missing(each) if add else None for each in papers}
     folder = results.out or Path("out") / f"{paper}{'_quick' if quick else ''}"
     command = ["sonoservo", "reproduce", paper, *(["--quick"] if quick else [])]
     command += [] if seeds is None else ["--seeds", str(seeds)]
@@ -206,7 +214,8 @@ def reproduce_command(
             for each in papers:
                 into = folder / each if paper == ALL else folder
                 console.print(f"Reproducing {each} ...")
-                studies.append(reproduce(each, replace(options, folder=into, cluster=executor)))
+                own = replace(options, folder=into, cluster=executor, choose=choices[each])
+                studies.append(reproduce(each, own))
                 # before its files, which a full disk would prevent
                 console.print(study_table(studies[-1], console.width))
     except KeyboardInterrupt:
@@ -217,8 +226,9 @@ def reproduce_command(
     else:
         data = write_study(folder, studies[0], shlex.join(command))
     say_report(folder)
-    if keep:
-        keep_records({each.paper: each.outcomes for each in studies}, shlex.join(command))
+    if keep or add:
+        made = {each.paper: each.outcomes for each in studies}
+        keep_records(made, shlex.join(command), adds=add)
     write_printed(results.json_path, data)
 
 

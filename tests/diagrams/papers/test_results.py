@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import pytest
 
 from sonoservo.diagrams.papers import results
+from sonoservo.diagrams.papers.repeats import choose_missing
 from sonoservo.diagrams.studies import records
 from sonoservo.diagrams.studies.fingerprint import made_by
 from sonoservo.diagrams.studies.study import Case, Outcome
@@ -92,6 +93,27 @@ def test_only_records_of_the_present_committed_code_are_kept(study, house, monke
     (folder / "pyproject.toml").unlink()
     with pytest.raises(ConfigurationError, match="in a checkout"):
         results.keep_records({"chatelain2013": study.outcomes}, "")
+
+
+def test_runs_of_the_same_code_join_those_that_are_kept(study, house, monkeypatch):
+    (first,) = study.outcomes
+    first = replace(first, case=replace(first.case, settings={"bend": 1 / 3}))
+    second = replace(first, case=replace(first.case, seed=1))
+    with pytest.raises(ConfigurationError, match="no records of chatelain2013"):
+        results.require_addable("chatelain2013")
+    results.keep_records({"chatelain2013": [first]}, "one")
+    choose = choose_missing("chatelain2013")
+    assert choose([first.case, second.case]) == [second.case]
+    with pytest.raises(ConfigurationError, match="kept already"):
+        choose([first.case])
+    for command in ("two", "three"):
+        results.keep_records({"chatelain2013": [second, first]}, command, adds=True)
+    kept = results.kept_records("chatelain2013")
+    assert [each.case.seed for each in kept.outcomes] == [0, 1]
+    assert kept.command == "one; two; three"
+    monkeypatch.setattr(records, "is_outdated", lambda identity: True)  # the code has changed
+    with pytest.raises(ConfigurationError, match="other code than the present one"):
+        results.require_addable("chatelain2013")
 
 
 def test_each_experiment_has_a_line_of_its_main_figures(data):
