@@ -32,6 +32,7 @@ from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.signals.guard_status import GuardStatus
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
+from sonoservo.systems.signals.requirements import require
 from sonoservo.systems.signals.volume import Volume
 from sonoservo.systems.ultrasound.imaging import sweep_geometry
 from sonoservo.systems.ultrasound.scan_conversion import make_grid
@@ -193,7 +194,14 @@ class FollowNeedle(DrakeGymEnv):
         simulator.AdvanceTo(offset + steps * self._period + 5 * INSTANT)
 
     def step(self, action: NDArray[np.float32]) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """Command for one volume; see `gymnasium.Env.step`."""
+        """Command for one volume; see `gymnasium.Env.step`. ValueError for no four numbers."""
+        numbers = np.asarray(action, float)
+        require(
+            numbers.shape == (4,) and bool(np.isfinite(numbers).all()),
+            "action",
+            action,
+            "four numbers; beyond -1 and 1 they count as these",
+        )
         observation, reward, _, truncated, info = super().step(action)
         if not truncated:
             self._end = self._judge(self.experiment.simulator.get_context())

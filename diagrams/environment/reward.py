@@ -68,7 +68,7 @@ class ActionScale:
 
     def command(self, action: NDArray[np.float32]) -> tuple[NDArray[np.float64], float]:
         """Return the velocity (v_x, v_z, omega_y) in m/s and rad/s, and the force in N."""
-        bounded = np.clip(np.nan_to_num(np.asarray(action, float)), -1, 1)
+        bounded = np.clip(np.asarray(action, float), -1, 1)
         velocity = bounded[:3] * [self.speed, self.speed, self.angular_speed]
         low, high = self.force
         return velocity, float(low + 0.5 * (bounded[3] + 1) * (high - low))

@@ -96,7 +96,8 @@ def _numbers(source: str) -> Iterator[str]:
 def room_page(room: str, words: str) -> str:
     """Return the page of a room: what programs begin with, systems, classes and functions."""
     module = f"sonoservo.{room}"
-    page = [f"# {room.split('.')[-1].capitalize()}", "", f"{words} `from {module} import ...`"]
+    name = room.split(".")[-1].capitalize()
+    page = [f"# {name}: {words.rstrip('.')}", "", f"`from {module} import ...`"]
     for title, names in _sections(module):
         page += ["", f"## {title}", "", "```{eval-rst}"]
         for name in names:

@@ -9,7 +9,7 @@ const HELP = {
   pause: "pause or go on", step: "go on by one volume, then pause",
   restart: "start again; what you did so far is saved",
   save: "save what you did so far as a scenario", finish: "end, and write the results",
-  stop: "end now, as Ctrl-C does",
+  stop: "end now, as Ctrl-C does; asks once more",
 };
 const SPEEDS = [[0.25, "¼ ×"], [0.5, "½ ×"], [1, "1 ×"], [2, "2 ×"], [0, "max"]];
 const LETTERS = { Space: "space", Period: ".", ArrowLeft: "←", ArrowRight: "→" };

@@ -46,6 +46,7 @@ function build() {
     parts.splice(names.includes("step") ? 2 : 1, 0, speed);
   }
   $("driving").hidden = !sliders.some((each) => each.keys.length);
+  $("gamepad").hidden = !sliders.some((each) => each.name === "depth");
   if (!$("driving").hidden) {
     const made = button("keys off", "", () => arm(!armed),
       "Let keys move things; a key pressed by mistake moves nothing while this is off");

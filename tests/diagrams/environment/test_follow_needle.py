@@ -123,12 +123,15 @@ def test_an_action_commands_what_it_was_made_of():
     velocity, force = scale.command(scale.action(np.array([0.01, -0.02, 0.1]), 2.5))
     np.testing.assert_allclose(velocity, [0.01, -0.02, 0.1], rtol=1e-6)
     assert force == pytest.approx(2.5)
-    assert scale.command(np.array([np.nan, 5, -5, 9]))[1] == 4.0
+    assert scale.command(np.array([2, 5, -5, 9]))[1] == 4.0
 
 
 def test_a_wrong_argument_is_refused():
     with pytest.raises(ConfigurationError, match="observation: 'pixels'"):
         make(observation="pixels")
+    for action in ([np.nan, 0, 0, 0], [0, 0, 0]):
+        with pytest.raises(ValueError, match="action: .* is not allowed; it must be four numbers"):
+            make().unwrapped.step(action)
 
 
 def test_without_gymnasium_a_line_says_what_to_install(monkeypatch):
