@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer.main import get_command
@@ -354,6 +354,22 @@ def _with_own_options(line: str, called: str) -> str:
     return re.sub(r"(?<![\w`-])--[a-z][a-z-]+", named, line)
 
 
+def _usage_line(error: Any) -> str:
+    """Return what is wrong with the command line, as the parser says it, and where its help is."""
+    line = error.format_message().rstrip(".")
+    if (cause := error.__cause__) is not None and hasattr(cause, "errors"):  # lacks the value
+        allowed = error.message.partition(", unable")[0]
+        line = line.replace(error.message, f"{cause.errors()[0]['input']!r}. {allowed}")
+    line += "" if line.endswith("?") else "."
+    context = getattr(error, "ctx", None)
+    if context is None or context.parent is None:
+        return f"{line} `sonoservo --help` lists the commands and their options."
+    command = context.command
+    if hasattr(error, "option_name") and any("--set" in each.opts for each in command.params):
+        line += " A scenario's fields are set by --set, such as --set duration=3."
+    return f"{line} `sonoservo {command.name} --help` lists the options."
+
+
 def _report(error: BaseException) -> int:
     """Print an error on one line, and return the exit code."""
     if isinstance(error, KeyboardInterrupt | typer.Abort):
@@ -365,7 +381,7 @@ def _report(error: BaseException) -> int:
         return 141
     code = 2
     if hasattr(error, "format_message"):
-        line = f"{error.format_message()} `sonoservo --help` lists the commands and their options."
+        line = _usage_line(error)
     elif isinstance(error, MemoryError):
         line = "there is not enough memory for this"
     elif isinstance(error, OSError) and error.filename and error.strerror:

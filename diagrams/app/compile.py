@@ -89,7 +89,10 @@ def _run(scenario: str, changes: list[str]) -> None:
 
 
 def _volumes() -> Iterator["Volume"]:
-    """Yield volumes in which a bright line grows from the side."""
+    """Yield volumes in which a bright line grows from the side, and another one rests.
+
+    Two, because arrays of a single line are contiguous, for which Numba compiles other kernels.
+    """
     import numpy as np
     from pydrake.math import RigidTransform
 
@@ -101,6 +104,7 @@ def _volumes() -> Iterator["Volume"]:
         intensities = np.clip(tissue + rng.normal(0, 1, _SHAPE), 1, 255)
         length = max(0, _ADVANCE * (number - _BEFORE))
         intensities[:length, 29:31, 19:21] = 230
+        intensities[20:60, 44:46, 29:31] = 230
         yield Volume(
             intensities=intensities.astype(np.uint8),
             origin=np.array([-40e-3, 0, -20e-3]),

@@ -153,11 +153,12 @@ def live_table(summary: Mapping[str, Any]) -> TerminalTable:
 
 def findings_table(findings: Sequence[Finding]) -> TerminalTable:
     """Return what a source was found to be, and what to do, for a terminal."""
-    table = TerminalTable("check", "found", "what to do")
+    heads = ("check", "found", "what to do")[: 2 + any(each.advice for each in findings)]
+    table = TerminalTable(*heads)
     styles = {Grade.FINE: "", Grade.DOUBTFUL: "yellow", Grade.WRONG: "bold red"}
     for each in sort_findings(findings):
         cells = (each.check.value, each.text, each.advice)
-        table.add_row(*map(Text, cells), style=styles[each.grade])
+        table.add_row(*map(Text, cells[: len(heads)]), style=styles[each.grade])
     return table
 
 

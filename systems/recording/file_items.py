@@ -53,6 +53,11 @@ class FileItems:
     def __len__(self) -> int:
         return len(self.numbers)
 
+    def __repr__(self) -> str:
+        duration = float(np.ptp(self.times)) if self.numbers else 0.0
+        what = self.what + "s" * (len(self) != 1)
+        return f"{type(self).__name__}({str(self.path)!r}, {len(self)} {what}, {duration:.1f} s)"
+
     def _find_chain(
         self, poses: str | None, transforms: Mapping[str, NDArray[np.float64]] | None
     ) -> TransformChain | None:

@@ -82,8 +82,11 @@ def explain_command(
         write_printed(printed.json_path, rows)
         return
     explained = explained_run.nearest(time)
+    asked, shown = (f"{float(each):.2f} s" for each in (time, explained.volume_time))
     path = out or folder / f"explanation_{float(explained.volume_time):.2f}s.png"
     write_atomically(path, png(explained_run.sheet(explained)))
+    if asked != shown:
+        say(f"Nothing was kept at {asked}; this is {shown}, the nearest kept volume.")
     say(describe(explained, explained_run.tip_error(explained)))
     say(f"Drawn: {path}")
     write_printed(printed.json_path, explained_run.row(explained))

@@ -26,10 +26,13 @@ from sonoservo.diagrams.app.options import (
 from sonoservo.diagrams.papers.registry import ALL, STUDIES, reproduce, require_paper
 from sonoservo.diagrams.published import PAPERS
 from sonoservo.systems.files.refusals import ConfigurationError
+from sonoservo.systems.files.typed_yaml import suggest
 
 if TYPE_CHECKING:
     from sonoservo.diagrams.scenario import Scenario
     from sonoservo.diagrams.studies.study import Executor
+
+_EPISODES = "lerobot"  # layout of whole runs, besides those of a data set
 
 
 @contextmanager
@@ -63,7 +66,7 @@ def dataset_command(
     layout: Annotated[
         str,
         typer.Option(
-            help="Layout of the files: sequences, nnunet, zea, or lerobot: episodes of runs."
+            help=f"Layout of the files: sequences, nnunet, zea, or {_EPISODES}: episodes of runs."
         ),
     ] = "sequences",
     store: Annotated[
@@ -77,9 +80,12 @@ def dataset_command(
     """
     from sonoservo.diagrams.experiments.registry import load_scenario
     from sonoservo.diagrams.studies.datasets.dataset import make_dataset
+    from sonoservo.diagrams.studies.datasets.dataset_sequence import LAYOUTS
 
+    if layout not in (known := [*LAYOUTS, _EPISODES]):
+        raise ConfigurationError(f"layout: {layout!r} is not allowed; {suggest(layout, known)}")
     loaded = load_scenario(scenario, changes=changes, seed=seed)
-    if layout == "lerobot":
+    if layout == _EPISODES:
         _make_episodes(loaded, out, count, workers, printed.json_path)
         return
     with opened(workers) as executor:

@@ -81,11 +81,22 @@ class Comparison:
         """Return the differences and the figures, for a terminal."""
         changes = [list(map(Strong, [row["path"], *self._values(row)])) for row in self.changes()]
         labels = self.presenter.labels
-        rows = [[labels[path], *map(cell_text, each)] for path, each in self.figures().items()]
+        rows = [[labels[path], *map(cell_text, each)] for path, each in self._known().items()]
         caption = "Above: what differs between the scenarios." if changes else ""
-        return Table(["quantity", *self.names], [*changes, *rows]).terminal(
+        table = Table(["quantity", *self.names], [*changes, *rows]).terminal(
             " and ".join(self.names), caption or "The scenarios do not differ.", widest=None
         )
+        for column in table.columns:  # names of fields are long
+            column.overflow = "fold"
+        return table
+
+    def _known(self) -> dict[str, list[Any]]:
+        """Return the figures that at least one run has."""
+        return {
+            path: each
+            for path, each in self.figures().items()
+            if any(cell_text(v, "") for v in each)
+        }
 
     def _values(self, row: Mapping[str, str]) -> list[str]:
         return [row[name] for name in self.names]
@@ -116,9 +127,9 @@ class Comparison:
         shown = Table(["", "field", *heads], changes).html()
         parts.append(shown if changes else "<p>Nothing.</p>")
         parts += ["<h2>Curves</h2>", picture(self.presenter.overlay_caption, png(self.plot()))]
-        figures = self.figures()
+        figures, labels = self._known(), self.presenter.labels
         parts.append("<h2>Figures</h2>")
-        for heading, group in sections(self.presenter.labels).items():
+        for heading, group in sections({path: labels[path] for path in figures}).items():
             rows = [[label, *figures[path]] for path, label in group.items()]
             shown = Table(["", *heads], rows, missing="–").html()
             parts.append(f"<h3>{html.escape(heading)}</h3>\n{shown}")

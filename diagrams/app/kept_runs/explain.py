@@ -19,7 +19,10 @@ from sonoservo.systems.evaluation.explanation.explained_volume import (
     imaged_needle,
     read_explanations,
 )
-from sonoservo.systems.evaluation.explanation.explanation_sheet import plot_explanation
+from sonoservo.systems.evaluation.explanation.explanation_sheet import (
+    occasion_words,
+    plot_explanation,
+)
 from sonoservo.systems.evaluation.log import read_log
 from sonoservo.systems.evaluation.run_errors import estimate_errors
 from sonoservo.systems.evaluation.run_log import RunLog
@@ -55,7 +58,7 @@ class ExplainedRun:
             "time_s": float(explained.volume_time),
             "mode_before": str(explained.mode_before),
             "mode_after": str(explained.mode_after),
-            "occasion": str(explained.occasion),
+            "occasion": occasion_words(str(explained.occasion)),
             "reason": str(explained.reason),
             "tip_error_mm": 1e3 * self.tip_error(explained),
             "innovation": float(explained.innovation),
@@ -99,7 +102,7 @@ def read_explained_run(folder: Path) -> ExplainedRun:
     if not kept:
         raise ConfigurationError(
             f"{folder} was run with --explain, but nothing happened that was to be explained: "
-            "the tracker never changed its mode and the tip never jumped"
+            "the tracker never changed its mode and the tip was always near where it was expected"
         )
     return ExplainedRun(folder, kept, log)
 
@@ -108,7 +111,6 @@ def explanation_table(rows: Sequence[Mapping[str, Any]]) -> Table:
     """Return the rows of an `ExplainedRun` as a table for a terminal."""
     table = Table("time, s", "what happened", "tip error, mm", "why it was not confirmed")
     table.columns[0].justify = table.columns[2].justify = "right"
-    table.columns[1].no_wrap = True
     for row in rows:
         before, happened, error = row["mode_before"], row["mode_after"], row["tip_error_mm"]
         if before and before != happened:

@@ -119,8 +119,7 @@ def check_file(path: Path, reading: Reading | None = None) -> CheckedSource:
         else:
             _check_frames(checked, opened)
     except ConfigurationError as refusal:
-        advice = "the message says what to change"
-        checked.note(Check.READING, f"it cannot be read: {refusal}", Grade.WRONG, advice)
+        checked.note(Check.READING, f"it cannot be read: {refusal}", Grade.WRONG)
     return checked
 
 
@@ -130,8 +129,7 @@ def check_configuration(path: Path) -> CheckedSource:
     try:
         known = read_plus_configuration(path)
     except ConfigurationError as refusal:
-        advice = "the message says what to change"
-        checked.note(Check.READING, f"it cannot be read: {refusal}", Grade.WRONG, advice)
+        checked.note(Check.READING, f"it cannot be read: {refusal}", Grade.WRONG)
         return checked
     checked.note(Check.KIND, f"a configuration of PLUS with {len(known.transforms)} transforms")
     for name, each in known.transforms.items():

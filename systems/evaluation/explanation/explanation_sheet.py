@@ -1,5 +1,6 @@
 """Figure of a tracker's search in one volume, beside ground truth."""
 
+import re
 from collections.abc import Sequence
 from typing import Any
 
@@ -22,6 +23,7 @@ _QUIET = "0.45"
 _ACROSS = {"beam": "along", "cross": "across"}
 _SIDE = {"beam": "lateral", "cross": "elevation"}
 _OTHER = {"beam": "elevation", "cross": "lateral"}
+_BESIDE = 0.3  # time in s by which marks reach beyond their volume's
 _MARGIN = 8.0  # margin in mm around the lines drawn in a slice
 
 
@@ -44,12 +46,11 @@ def plot_explanation(
         figure.colorbar(
             weights, ax=slices, location="left", shrink=0.5, aspect=40, label="candidate's weight"
         )
-    followed = bool(len(explained.history))
-    if followed and not len(explained.profile):
+    if len(explained.line_numbers) and not len(explained.profile):
         _draw_classes(grid[0, 1], explained)
     else:
         _draw_profile(grid[0, 1], explained, needle)
-    if followed:
+    if np.isfinite(explained.history).any():
         _draw_history(grid[1, 1], explained, needle)
     else:
         _draw_gate(grid[1, 1], explained, kept or [explained])
@@ -73,7 +74,7 @@ def describe(explained: ExplainedVolume, tip_error: float = np.nan) -> str:
     nothing = "the needle was confirmed" if confirmed else "the needle is yet to be confirmed"
     facts = []
     if not changed and explained.occasion not in (BEFORE, AFTER):
-        facts.append(str(explained.occasion))
+        facts.append(occasion_words(str(explained.occasion)))
     if np.isfinite(tip_error):
         facts.append(f"estimated tip {1e3 * tip_error:.1f} mm from the true one")
     if np.isfinite(explained.innovation):
@@ -86,6 +87,14 @@ def describe(explained: ExplainedVolume, tip_error: float = np.nan) -> str:
         facts.append(f"{len(explained.attempt_reasons)} searches, the deciding one shown")
     title = f"{float(explained.volume_time):.2f} s, {mode}: {str(explained.reason) or nothing}"
     return "\n".join([title, *filter(None, ["; ".join(facts)])])
+
+
+def occasion_words(occasion: str) -> str:
+    """Return why a volume was kept; records call a tip "jumped" that is not where it was expected.
+
+    It was expected to go on at its velocity, so it need not be wrong: the phantom may have moved.
+    """
+    return re.sub("^tip jumped (.*)", r"the tip is \1 from where it was expected", occasion)
 
 
 def _draw_slice(axes: Axes, explained: ExplainedVolume, name: str, needle: Array) -> None:
@@ -247,23 +256,29 @@ def _draw_history(axes: Axes, explained: ExplainedVolume, needle: Array) -> None
         f"What was seen along line {number:.0f}, needle with {100 * probability:.0f} %",
         loc="left", fontsize=11,
     )  # fmt: skip
-    times, a = explained.history_times, 1e3 * explained.history_a
+    times, a, history = explained.history_times, 1e3 * explained.history_a, explained.history
+    now = times[-1]
+    if len(times) == 1:  # the cells of a single volume would have no width
+        times, history = (
+            np.array([now - _BESIDE / 2, now + _BESIDE / 2]),
+            np.repeat(history, 2, axis=0),
+        )
     shown = axes.pcolormesh(
-        times, a, explained.history.T, cmap="cividis", vmin=-6, vmax=12, shading="nearest"
+        times, a, history.T, cmap="cividis", vmin=-6, vmax=12, shading="nearest"
     )
     axes.set_facecolor("0.8")
     axes.figure.colorbar(shown, ax=axes, label="contrast, dB; grey: not seen")
     ends = explained.line_ends[0]
     length = 1e3 * float(np.linalg.norm(ends[1] - ends[0]))
     edges = [0.0, length]
-    axes.hlines(edges, times[-1] - 0.3, times[-1] + 0.3, color=LINE, linewidth=2,
+    axes.hlines(edges, now - _BESIDE, now + _BESIDE, color=LINE, linewidth=2,
                 label="ends in this volume")  # fmt: skip
     if len(needle):
         first, last = 1e3 * explained.to_probe(ends)
         k = (last - first) / np.linalg.norm(last - first)
         away = 1e3 * needle[-1] - first
         at = float(away @ k)
-        axes.plot(times[-1], at, marker="x", color=TRUE, markersize=9, markeredgewidth=2,
+        axes.plot(now, at, marker="x", color=TRUE, markersize=9, markeredgewidth=2,
                   linestyle="", label=f"true tip (truth), {np.linalg.norm(away - at * k):.0f} mm "
                   "beside the line")  # fmt: skip
         edges.append(at)

@@ -12,7 +12,7 @@ from typing import Any
 from pydrake.geometry import Meshcat
 
 from sonoservo.systems.evaluation.labels import LABELS, MORE_LABELS, look_up, sections
-from sonoservo.systems.evaluation.reports.verdict import Verdict
+from sonoservo.systems.evaluation.reports.verdict import Verdict, unbroken
 from sonoservo.systems.evaluation.table import Code, Table
 from sonoservo.systems.files.writing import write_atomically
 
@@ -125,10 +125,8 @@ def speed_text(factor: float) -> str:
 def _verdict_text(verdict: Verdict | None) -> str:
     if verdict is None:
         return ""
-    return (
-        f'<p class="verdict {verdict.grade}"><strong>{html.escape(verdict.headline)}.</strong> '
-        f"{html.escape(verdict.text)}</p>"
-    )
+    headline, text = (html.escape(unbroken(each)) for each in (verdict.headline, verdict.text))
+    return f'<p class="verdict {verdict.grade}"><strong>{headline}.</strong> {text}</p>'
 
 
 def _links(links: Mapping[str, str]) -> str:

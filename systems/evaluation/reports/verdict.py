@@ -1,5 +1,6 @@
 """Verdict on a run in which the robot follows a needle, in a sentence or two."""
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -80,6 +81,11 @@ def reasons_text(reasons: Mapping[str, int]) -> str:
     shown = [f"{count} x {reason}" for reason, count in list(reasons.items())[:_REASONS]]
     rest = sum(reasons.values()) - sum(list(reasons.values())[:_REASONS])
     return "; ".join(shown) + (f"; {rest} x others" if rest else "")
+
+
+def unbroken(text: str, space: str = "\u00a0") -> str:
+    """Return a text with a space that no line ends at between each number and its unit."""
+    return re.sub(r"(?<=\d) (?=%|(mm|deg|N|s)\b)", space, text)
 
 
 def _times(count: int) -> str:

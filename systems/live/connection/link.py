@@ -22,6 +22,7 @@ _MAX_PEERS = 256
 _PIECE = 1 << 18  # Bytes that are written at once, and so the most that waits outside of an outbox
 _HUNG = 30.0  # Time in s after which a peer that takes nothing of what waits for it is given up
 _FIRST_RETRY, _LAST_RETRY, _CONNECTING = 0.1, 2.0, 5.0
+_FIRST_QUIET, _LAST_QUIET = 10.0, 300.0  # Times in s between lines that say there is no connection
 _TICK = 0.25
 # Time in s in which at most so many lines about one host are printed.
 _REPORT_EVERY, _REPORTS = 10.0, 5
@@ -295,7 +296,8 @@ class Link:
             await server.serve_forever()
 
     async def _stay_connected(self) -> None:
-        name, retry = str(self.address), _FIRST_RETRY
+        name = str(self.address)
+        retry, quiet, due = _FIRST_RETRY, _FIRST_QUIET, 0.0
         while True:
             try:
                 async with asyncio.timeout(_CONNECTING):
@@ -309,11 +311,13 @@ class Link:
                 number = error.errno or int(code[1] if code else 0)
                 reason = errno.errorcode.get(number, error.strerror or str(error))
             else:
-                retry = _FIRST_RETRY
+                retry, quiet, due = _FIRST_RETRY, _FIRST_QUIET, 0.0
                 await peer.gone.wait()
                 await asyncio.sleep(_FIRST_RETRY)
                 continue
-            self._tell(name, f"no connection ({reason}); trying again")
+            if (now := time.perf_counter()) >= due:
+                self._tell(name, f"no connection ({reason}); trying again until Ctrl-C")
+                due, quiet = now + quiet, min(2 * quiet, _LAST_QUIET)
             await asyncio.sleep(retry)
             retry = min(2 * retry, _LAST_RETRY)
 

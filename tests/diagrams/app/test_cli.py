@@ -11,7 +11,7 @@ from PIL import Image
 from typer.testing import CliRunner
 
 from sonoservo.diagrams import list_scenarios, load_scenario
-from sonoservo.diagrams.app.cli import app
+from sonoservo.diagrams.app.cli import app, run_arguments
 from sonoservo.diagrams.app.options import free_folder
 from sonoservo.systems.evaluation import RunLog, read_log
 from sonoservo.systems.evaluation.explanation.explained_volume import FOLDER
@@ -103,6 +103,28 @@ def test_a_mistake_is_one_line_and_exit_code_2(arguments, message, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (
+            ["run", "chatelain2013_fig6", "--duration", "3"],
+            "No such option: --duration. A scenario's fields are set by --set, such as "
+            "--set duration=3. `sonoservo run --help` lists the options.",
+        ),
+        (["list", "--foo"], "No such option: --foo. `sonoservo list --help` lists the options."),
+        (["explain", "out", "--time", "abc"], "'abc'"),
+        (["rnu"], "`sonoservo --help` lists the commands and their options."),
+        (
+            ["dataset", "clinic", "--count", "2", "--out", "q", "--layout", "coco"],
+            "layout: 'coco' is not allowed; known: lerobot, nnunet, sequences, zea",
+        ),
+    ],
+)
+def test_a_mistake_on_the_command_line_says_what_is_allowed(arguments, message, capsys):
+    assert run_arguments(arguments) == 2
+    assert message in capsys.readouterr().err
+
+
 def test_a_run_that_cannot_go_on_says_why_and_ends_with_status_3(tmp_path):
     out = tmp_path / "out"
     fault = "station.sensor_faults=[{kind: nan, start: 0.6, duration: 9}]"
@@ -168,7 +190,7 @@ def test_results_that_cannot_be_written_are_one_line_and_exit_code_2(tmp_path):
         (
             ["chatelain2013", "--repeat", "2"],
             "--repeat: it takes the kept runs as they are; leave out --quick, --seeds, "
-            "--first-seed, --only, --finished and --out",
+            "--first-seed, --only, --finished, --add and --out",
         ),
     ],
 )

@@ -31,7 +31,8 @@ def place(volume, index):
 )
 def test_numbers_become_grey_levels(tmp_path, array, window, wanted):
     path = write_sequence_nrrd(tmp_path / "a.seq.nrrd", [array], times=[0.0])
-    (volume,) = Recording(path, window=window)
+    (volume,) = recording = Recording(path, window=window)
+    assert repr(recording) == f"Recording({str(path)!r}, 1 volume, 0.0 s)"
     np.testing.assert_allclose(volume.intensities, wanted, atol=1e-4)
 
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from commands import sonoservo_here
+from rich.console import Console
 from synthetic_logs import build_insertion_log
 
 from sonoservo.diagrams import compare, load_scenario
@@ -62,6 +63,18 @@ def test_command_prints_the_table(keep, tmp_path):
     again = compare([one, one])
     assert not again.changes()
     assert len(set(again.names)) == 2
+
+
+def test_figures_that_no_run_has_are_left_out_and_long_names_fold(keep, tmp_path):
+    comparison = compare([keep("a"), keep("b", **{"hand.pushes.0.speed": 0.004})])
+    console = Console(record=True, width=40)
+    console.print(comparison.table())
+    first = [line.partition("  ")[0].strip() for line in console.export_text().splitlines()]
+    assert "hand.pushes.0.speed" in "".join(first)
+    unknown = [path for path, each in comparison.figures().items() if each == [None, None]]
+    assert unknown
+    for path in unknown:
+        assert comparison.presenter.labels[path] not in comparison.page()
 
 
 def test_folders_that_are_none_are_named(keep, tmp_path):

@@ -87,9 +87,10 @@ def test_the_command_lists_and_draws(kept, tmp_path):
     drawn = sonoservo(out, "--time", time, "--out", picture, "--json", tmp_path / "row.json")
     assert drawn.exit_code == 0
     assert row["reason"] in " ".join(drawn.stdout.split())
+    assert f"Nothing was kept at {time:.2f} s; this is {row['time_s']:.2f} s" in drawn.stdout
     assert picture.read_bytes().startswith(b"\x89PNG")
     assert json.loads((tmp_path / "row.json").read_text()) == row
-    assert sonoservo(out, "--time", time).exit_code == 0
+    assert "Nothing was kept" not in sonoservo(out, "--time", row["time_s"]).stdout
     assert (out / f"explanation_{row['time_s']:.2f}s.png").is_file()
 
 

@@ -56,13 +56,14 @@ def test_frames_are_told_by_their_kind_chain_and_sweeps(tmp_path, capsys):
         (b"DimSize = 40 50 30", b"DimSize = 40 50 900000", "truncated"),
     ],
 )
-def test_file_that_cannot_be_read_is_a_finding(tmp_path, before, after, text):
+def test_file_that_cannot_be_read_is_a_finding(tmp_path, capsys, before, after, text):
     path = write_plus_file(tmp_path / "f.mha", freehand(30, dtype=np.uint8))
     path.write_bytes(path.read_bytes().replace(before, after))
     (finding,) = check_file(path).findings
     assert (finding.check, finding.grade) == (Check.READING, Grade.WRONG)
     assert text in finding.text
     assert run_arguments(["check", str(path)]) == 1
+    assert "what to do" not in capsys.readouterr().out
     assert run_arguments(["check", str(tmp_path / "nowhere.mha")]) == 2
 
 

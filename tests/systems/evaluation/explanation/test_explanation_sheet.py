@@ -154,3 +154,12 @@ def test_lines_followed_are_drawn_while_nothing_is_measured():
     np.testing.assert_allclose(shown.collections[0].get_array().filled(np.nan), history.T)
     truth = line(shown, "true tip (truth), 0 mm beside the line")
     np.testing.assert_allclose(truth, [[0, 30]], atol=0.1)
+    _, *_, shown = draw(replace(kept, history_times=np.zeros(1), history=history[:1]))
+    assert np.ptp(shown.collections[0].get_coordinates()[..., 0]) > 0.3  # wide enough to be seen
+    _, *_, shown = draw(replace(kept, history=np.full_like(history, np.nan)))
+    assert shown.get_title(loc="left") == "Measurement against prediction"
+
+
+def test_a_jump_is_said_to_be_from_where_the_tip_was_expected():
+    words = describe(explained(occasion="tip jumped 22.4 mm"))
+    assert "the tip is 22.4 mm from where it was expected" in words

@@ -74,6 +74,7 @@ def test_page(insertion_log, make_log):
     assert "<h1>fig &lt;5&gt;</h1>" in text
     assert "seed 3 · compiling kernels took 27 s more, which no figure counts" in text
     assert "<strong>The needle was found and followed.</strong> It was found" in text
+    assert "95\u00a0% less than" in text
     assert "A needle &lt;18 gauge&gt; is pushed in." in text
     assert "sonoservo run fig5" in text
     assert page.links == ["replay.html"]

@@ -104,6 +104,14 @@ def test_lost_connection_is_taken_up_again(ear):
     assert ear.said("connection lost")
 
 
+def test_nobody_who_listens_is_said_at_growing_intervals(ear, monkeypatch):
+    for name, value in (("_FIRST_RETRY", 0.01), ("_LAST_RETRY", 0.01), ("_FIRST_QUIET", 0.1)):
+        monkeypatch.setattr(link, name, value)
+    with ear.open(f"igtl://localhost:{free_port()}"):
+        time.sleep(1.0)  # said after 0, 0.1, 0.3 and 0.7 s
+    assert 2 <= len(ear.said("trying again until Ctrl-C")) <= 4
+
+
 def test_slow_client_loses_old_volumes_and_holds_nobody_up(server):
     fast = Ear()
     with plug(server) as slow, fast.open(f"igtl://localhost:{server.port}"):
