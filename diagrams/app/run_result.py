@@ -8,18 +8,15 @@ from typing import Any
 
 from matplotlib.figure import Figure
 from rich.console import Console
-from rich.containers import Lines
 from rich.table import Table as TerminalTable
 from rich.text import Text
 
 from sonoservo.systems.evaluation.labels import look_up
 from sonoservo.systems.evaluation.reports.plots import png
 from sonoservo.systems.evaluation.reports.report import Story, report_body, told, write_report
-from sonoservo.systems.evaluation.reports.verdict import Verdict, reasons_text, unbroken
+from sonoservo.systems.evaluation.reports.verdict import Verdict, reasons_text
 from sonoservo.systems.evaluation.table import Table
 from sonoservo.systems.files.writing import Unwritten, write_atomically
-
-_HELD = "\ue000"  # Character that stands for a space while lines are wrapped
 
 
 @dataclass(frozen=True)
@@ -101,22 +98,10 @@ class RunResult:
         )
 
 
-class _Verdict(Text):
-    """Text in which numbers stay with their units; rich itself also wraps at no-break spaces."""
-
-    def wrap(self, *args: Any, **options: Any) -> Lines:
-        held = self.copy()
-        held.plain = unbroken(self.plain, _HELD)
-        lines = held.wrap(*args, **options)
-        for line in lines:
-            line.plain = line.plain.replace(_HELD, " ")
-        return lines
-
-
 def summary_table(result: RunResult) -> TerminalTable:
     """Return the figures of a run beside the published ones, for a terminal."""
     summary, published = result.summary, result.published
-    caption, stops = _Verdict(), stops_text(summary)
+    caption, stops = Text(), stops_text(summary)
     if result.verdict is not None:
         caption.append(f"{result.verdict.headline}.", style="bold not italic")
         caption.append(f" {result.verdict.text}" + ("\n" if stops else ""))

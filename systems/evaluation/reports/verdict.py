@@ -83,9 +83,9 @@ def reasons_text(reasons: Mapping[str, int]) -> str:
     return "; ".join(shown) + (f"; {rest} x others" if rest else "")
 
 
-def unbroken(text: str, space: str = "\u00a0") -> str:
-    """Return a text with a space that no line ends at between each number and its unit."""
-    return re.sub(r"(?<=\d) (?=%|(mm|deg|N|s)\b)", space, text)
+def unbroken(text: str) -> str:
+    """Return a text with no-break spaces between numbers and their units."""
+    return re.sub(r"(?<=\d) (?=%|(mm|deg|N|s)\b)", "\u00a0", text)
 
 
 def _times(count: int) -> str:
