@@ -6,6 +6,7 @@ by the present definitions. They name the commit that made the runs, and say so 
 runs has changed since.
 """
 
+import json
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -23,14 +24,13 @@ from sonoservo.diagrams.published import PAPERS
 from sonoservo.diagrams.studies.fingerprint import RECORDS, made_with
 from sonoservo.diagrams.studies.records import (
     Records,
-    joined_records,
     kept_commit,
     present_code,
     present_records,
     read_records,
     write_records,
 )
-from sonoservo.diagrams.studies.study import Outcome
+from sonoservo.diagrams.studies.study import Case, Outcome
 from sonoservo.diagrams.studies.study_report import (
     Study,
     StudyRow,
@@ -93,9 +93,17 @@ def require_addable(name: str) -> Records:
 
 
 def _joined(name: str, outcomes: Sequence[Outcome], command: str) -> Records:
+    """Return the kept records of a study with further ones; one made again takes its own place."""
     if (kept := kept_records(name)) is None:
         raise ConfigurationError(f"--keep: no records of {name} are kept to which to add")
-    return joined_records(kept, outcomes, command)
+    runs = {_digits(each.case): each for each in (*kept.outcomes, *outcomes)}
+    joined = present_records([*runs.values()], f"{kept.command}; {command}")
+    return replace(joined, repeats=kept.repeats)
+
+
+def _digits(case: Case) -> str:
+    """Return the contents of a case with as many digits as records have."""
+    return json.dumps(json.loads(case.key, parse_float=lambda text: f"{float(text):.6g}"))
 
 
 def kept_records(name: str) -> Records | None:

@@ -4,7 +4,7 @@ import gzip
 import json
 import subprocess
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -55,16 +55,6 @@ def present_records(outcomes: Sequence[Outcome], command: str) -> Records:
     if records.is_outdated:
         raise ConfigurationError("--keep: other code than the present one made some of the runs")
     return records
-
-
-def joined_records(kept: Records, more: Sequence[Outcome], command: str) -> Records:
-    """Return `present_records` of kept runs and of more; one made again takes its own place."""
-    runs = {
-        json.dumps(_rounded(asdict(each.case)), sort_keys=True): each
-        for each in (*kept.outcomes, *more)
-    }
-    joined = present_records([*runs.values()], f"{kept.command}; {command}")
-    return replace(joined, repeats=kept.repeats)
 
 
 def write_records(path: Path, kept: Records) -> None:
