@@ -43,7 +43,7 @@ def test_a_result_prints_and_draws_itself(result):
     text = str(result)
     assert "carriere2016_d60, seed 100" in text
     assert result.verdict.headline in " ".join(text.split())
-    assert result.verdict.headline in result._repr_html_()
+    assert result.verdict.headline in result._repr_html_().replace("\xa0", " ")
     assert "cross-section found" in result._repr_html_()
     assert isinstance(result.plot(), Figure)
 
