@@ -3,12 +3,12 @@
 import hashlib
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from itertools import zip_longest
 from typing import Any
 
 from sonoservo.diagrams.papers.registry import module_of
-from sonoservo.diagrams.papers.results import kept_records, require_addable
+from sonoservo.diagrams.papers.results import case_digits, kept_records, require_addable
 from sonoservo.diagrams.studies.study import Case, Outcome, StudyOptions
 from sonoservo.systems.files.refusals import ConfigurationError
 
@@ -33,10 +33,10 @@ def choose_missing(paper: str) -> Choice:
     ConfigurationError, then or when it chooses, if other code made those that are kept, or none is
     missing.
     """
-    kept = require_addable(paper).outcomes
+    kept = _by_case(require_addable(paper).outcomes)
 
     def choose(cases: Sequence[Case]) -> Sequence[Case]:
-        missing = [each for each in cases if _record(kept, each) is None]
+        missing = [each for each in cases if case_digits(each) not in kept]
         if not missing:
             raise ConfigurationError("--add: all these runs are kept already")
         return missing
@@ -55,12 +55,13 @@ def repeat_kept_runs(paper: str, number: int, options: StudyOptions) -> list[Rep
     records = kept_records(paper)
     if records is None:
         raise ConfigurationError(f"--repeat: no records of runs are kept of {paper}")
-    kept = records.outcomes
+    kept = _by_case(records.outcomes)
 
     def choose(cases: Sequence[Case]) -> Sequence[Case]:
-        if not {each.experiment for each in cases} & {each.case.experiment for each in kept}:
+        experiments = {each.case.experiment for each in kept.values()}
+        if experiments.isdisjoint(each.experiment for each in cases):
             return cases
-        found = [case for case in cases if _record(kept, case) is not None]
+        found = [case for case in cases if case_digits(case) in kept]
         if not found:
             raise ConfigurationError("--repeat: the study makes none of the kept runs any more")
         # By a hash, so that they are spread over the experiments, and the same ones each time.
@@ -69,21 +70,14 @@ def repeat_kept_runs(paper: str, number: int, options: StudyOptions) -> list[Rep
 
     repeats = []
     for outcome in module_of(paper, "reproduction").run(replace(options, choose=choose)):
-        if (record := _record(kept, outcome.case)) is not None:
+        if (record := kept.get(case_digits(outcome.case))) is not None:
             one, other = ({"error": e.error, "result": e.result} for e in (outcome, record))
             repeats.append(Repeat(outcome.case.name, next(_differences(one, other), "")))
     return repeats
 
 
-def _record(kept: Sequence[Outcome], case: Case) -> Outcome | None:
-    """Return the record of a case, whose settings have the digits that records keep."""
-    alike = (
-        each
-        for each in kept
-        if (each.case.experiment, each.case.seed) == (case.experiment, case.seed)
-    )
-    mine = asdict(case)
-    return next((each for each in alike if not [*_differences(mine, asdict(each.case))]), None)
+def _by_case(kept: Sequence[Outcome]) -> dict[str, Outcome]:
+    return {case_digits(each.case): each for each in kept}
 
 
 def _differences(one: Any, other: Any, path: str = "") -> Iterator[str]:

@@ -96,12 +96,12 @@ def _joined(name: str, outcomes: Sequence[Outcome], command: str) -> Records:
     """Return the kept records of a study with further ones; one made again takes its own place."""
     if (kept := kept_records(name)) is None:
         raise ConfigurationError(f"--keep: no records of {name} are kept to which to add")
-    runs = {_digits(each.case): each for each in (*kept.outcomes, *outcomes)}
+    runs = {case_digits(each.case): each for each in (*kept.outcomes, *outcomes)}
     joined = present_records([*runs.values()], f"{kept.command}; {command}")
     return replace(joined, repeats=kept.repeats)
 
 
-def _digits(case: Case) -> str:
+def case_digits(case: Case) -> str:
     """Return the contents of a case with as many digits as records have."""
     return json.dumps(json.loads(case.key, parse_float=lambda text: f"{float(text):.6g}"))
 
