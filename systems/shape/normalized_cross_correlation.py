@@ -107,9 +107,10 @@ def best_match(
     index = np.array(peak)
     last = np.array(rho.shape) - 1
     at_border = (index == 0) | (index == last)
-    around = rho[tuple(slice(max(i - 1, 0), i + 2) for i in peak)]
     inner = np.flatnonzero(~at_border)
-    around = around[tuple(slice(None) if i in inner else 0 for i in range(rho.ndim))]
+    around = rho[
+        tuple(i if out else slice(i - 1, i + 2) for i, out in zip(peak, at_border, strict=True))
+    ]
     position = index.astype(float)
     position[inner] += _peak_offset(around.astype(float))
     return Match(position, float(rho[peak]), at_border & (last > 0))

@@ -20,7 +20,6 @@ from sonoservo.systems.evaluation.explanation.explained_volume import (
     read_explanations,
 )
 from sonoservo.systems.evaluation.explanation.explanation_sheet import (
-    occasion_words,
     plot_explanation,
 )
 from sonoservo.systems.evaluation.log import read_log
@@ -58,7 +57,7 @@ class ExplainedRun:
             "time_s": float(explained.volume_time),
             "mode_before": str(explained.mode_before),
             "mode_after": str(explained.mode_after),
-            "occasion": occasion_words(str(explained.occasion)),
+            "occasion": str(explained.occasion),
             "reason": str(explained.reason),
             "tip_error_mm": 1e3 * self.tip_error(explained),
             "innovation": float(explained.innovation),

@@ -122,7 +122,7 @@ class KeptRun:
     def _finish(self) -> RunResult:
         """Summarise a run that has ended, and write its output files."""
         experiment = self._experiment
-        log, presenter = experiment.log(), present(experiment)
+        log = experiment.log()
         summary = {
             "scenario": self.scenario.name,
             "seed": self.scenario.seed,
@@ -137,6 +137,7 @@ class KeptRun:
         if self.out is not None:  # first, as little time may be left to an interrupted run
             with self.unwritten.collect():
                 write_json(self.out / "summary.json", summary)
+        presenter = present(experiment)
         result = RunResult(
             summary=summary,
             log=log,

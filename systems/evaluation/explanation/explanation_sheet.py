@@ -1,6 +1,5 @@
 """Figure of a tracker's search in one volume, beside ground truth."""
 
-import re
 from collections.abc import Sequence
 from typing import Any
 
@@ -74,7 +73,7 @@ def describe(explained: ExplainedVolume, tip_error: float = np.nan) -> str:
     nothing = "the needle was confirmed" if confirmed else "the needle is yet to be confirmed"
     facts = []
     if not changed and explained.occasion not in (BEFORE, AFTER):
-        facts.append(occasion_words(str(explained.occasion)))
+        facts.append(str(explained.occasion))
     if np.isfinite(tip_error):
         facts.append(f"estimated tip {1e3 * tip_error:.1f} mm from the true one")
     if np.isfinite(explained.innovation):
@@ -87,14 +86,6 @@ def describe(explained: ExplainedVolume, tip_error: float = np.nan) -> str:
         facts.append(f"{len(explained.attempt_reasons)} searches, the deciding one shown")
     title = f"{float(explained.volume_time):.2f} s, {mode}: {str(explained.reason) or nothing}"
     return "\n".join([title, *filter(None, ["; ".join(facts)])])
-
-
-def occasion_words(occasion: str) -> str:
-    """Return why a volume was kept; records call a tip "jumped" that is not where it was expected.
-
-    It was expected to go on at its velocity, so it need not be wrong: the phantom may have moved.
-    """
-    return re.sub("^tip jumped (.*)", r"the tip is \1 from where it was expected", occasion)
 
 
 def _draw_slice(axes: Axes, explained: ExplainedVolume, name: str, needle: Array) -> None:

@@ -80,6 +80,22 @@ def test_finds_a_displacement_to_a_fraction_of_a_sample(samples_per_period):
     assert (coarse > 0.2).all()
 
 
+def test_at_a_border_the_other_axes_are_found_to_a_fraction():
+    """Waves run askew, so the correlation peaks elsewhere along the line beside the border's."""
+    rng = np.random.default_rng(3)
+    waves = rng.normal(size=(200, 2)) @ [[0.45, 0.45], [0.0, 0.4]]
+    phases = rng.uniform(0, 2 * np.pi, 200)
+    image = np.zeros((20, 40))
+    for (a, b), phase in zip(waves, phases, strict=True):
+        image += np.cos(a * np.arange(20)[:, np.newaxis] + b * np.arange(40) + phase)
+    for offset in (-0.4, 0.3):
+        moved = np.fft.ifft(np.fft.fft(image) * np.exp(-2j * np.pi * np.fft.fftfreq(40) * offset))
+        match = best_match(image[:, 4:36], moved.real[5:, 10:30])
+        assert match.at_border.tolist() == [True, False]
+        assert match.position[0] == 5
+        assert match.position[1] == pytest.approx(6 - offset, abs=0.12)
+
+
 def test_the_border_is_told():
     search = np.random.default_rng(0).normal(size=(9, 9))
     match = best_match(search, search[0:5, 2:7])

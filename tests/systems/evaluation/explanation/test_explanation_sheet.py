@@ -158,8 +158,3 @@ def test_lines_followed_are_drawn_while_nothing_is_measured():
     assert np.ptp(shown.collections[0].get_coordinates()[..., 0]) > 0.3  # wide enough to be seen
     _, *_, shown = draw(replace(kept, history=np.full_like(history, np.nan)))
     assert shown.get_title(loc="left") == "Measurement against prediction"
-
-
-def test_a_jump_is_said_to_be_from_where_the_tip_was_expected():
-    words = describe(explained(occasion="tip jumped 22.4 mm"))
-    assert "the tip is 22.4 mm from where it was expected" in words
