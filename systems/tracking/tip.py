@@ -34,6 +34,9 @@ _HIDES = 0.2
 """Mean length in m of a needle between places at which it hides. It hides for `REACH` on average,
 and then shows as bright as before."""
 
+_TURNS = 0.1
+"""Mean length in m of a needle between places at which its level becomes another one."""
+
 _APART, _LONG, _BRIGHT = 0.1, 0.02, 15.0
 """Mean distance and length in m of the structures on a line through tissue, and mean and standard
 deviation of their contrast in dB."""
@@ -252,6 +255,8 @@ def _needle_logs(  # pragma: no cover - compiled
     logs, shown = np.zeros(m + 1), np.ones(m + 1)
     gap, kept = int(_BEFORE / step), math.exp(-step / _TREND)
     total, count, end = 0.0, 0.0, first
+    # Probabilities that it shows as bright as before, and that it shows anew.
+    same, anew = 1.0, 0.0
     for b in range(first, m):
         # Its level is that of what has shown so far, so that it outlasts what hides it.
         while end < min(max(b - gap, first + gap), m):
@@ -259,18 +264,25 @@ def _needle_logs(  # pragma: no cover - compiled
             if seen[end]:
                 total, count = total + shown[end] * contrast[end], count + shown[end]
             end += 1
-        shows = shown[b - 1] if b > first else 1.0
-        shows += (1 - shows) * step / REACH - shows * step / _HIDES
-        logs[b + 1], shown[b] = logs[b], shows
+        hides, turns, stays = same * step / _HIDES, same * step / _TURNS, anew * step / _TREND
+        same += (1 - same - anew) * step / REACH + stays - hides - turns
+        anew += turns - stays
+        logs[b + 1] = logs[b]
         if seen[b]:
             level = max(total / count, 0.0) if count > 0 else 0.0
             # What speckle alone would add to the mean is taken off, as in Wiener's filter.
             level = level**3 / (level**2 + 1.5)
             std = _NOTHING + _SPREAD * min(level, 16.0)
-            here = share[b] * _log_density(contrast[b], level, std)
+            before = share[b] * _log_density(contrast[b], level, std)
+            bright = share[b] * _log_density(contrast[b], _BRIGHT, _BRIGHT)
             hidden = share[b] * _log_density(contrast[b], 0.0, _NOTHING)
-            logs[b + 1] += _log_mean(here, hidden, shows)
-            shown[b] = shows * math.exp(here - logs[b + 1] + logs[b])
+            top = max(before, bright, hidden)
+            hides = (1 - same - anew) * math.exp(hidden - top)
+            same, anew = same * math.exp(before - top), anew * math.exp(bright - top)
+            whole = same + anew + hides
+            same, anew = same / whole, anew / whole
+            logs[b + 1] += top + math.log(whole)
+        shown[b] = same + anew
     return logs
 
 
