@@ -30,12 +30,9 @@ _NOTHING, _SPREAD = 2.2, 0.25
 """Standard deviation of the contrast in dB where there is no needle, and by how much more a
 needle's deviates from its level so far, per dB of that level: it flashes, fades and hides."""
 
-_HIDES = 0.2
-"""Mean length in m of a needle between places at which it hides. It hides for `REACH` on average,
-and then shows as bright as before."""
-
-_TURNS = 0.1
-"""Mean length in m of a needle between places at which its level becomes another one."""
+_CHANGES = 0.2
+"""Mean length in m of a needle between places at which it hides, and between those at which its
+level becomes any other. It hides for `REACH` on average, and then shows as bright as before."""
 
 _APART, _LONG, _BRIGHT = 0.1, 0.02, 15.0
 """Mean distance and length in m of the structures on a line through tissue, and mean and standard
@@ -43,7 +40,7 @@ deviation of their contrast in dB."""
 
 _TREND, _BEFORE = 5e-3, 1e-3
 """Length in m along which a needle's level so far is remembered to 1/e, and its distance from
-there. This length, `_HIDES`, `_NOTHING` and `_SPREAD` are fitted by
+there. This length, `_CHANGES`, `_NOTHING` and `_SPREAD` are fitted by
 ``python -m tip_study.levels`` (tests/tools)."""
 
 _MIRROR = 16.0, 24.0
@@ -255,7 +252,7 @@ def _needle_logs(  # pragma: no cover - compiled
     logs, shown = np.zeros(m + 1), np.ones(m + 1)
     gap, kept = int(_BEFORE / step), math.exp(-step / _TREND)
     total, count, end = 0.0, 0.0, first
-    # Probabilities that it shows as bright as before, and that it shows anew.
+    # Probabilities that it shows as bright as so far, and with another level.
     same, anew = 1.0, 0.0
     for b in range(first, m):
         # Its level is that of what has shown so far, so that it outlasts what hides it.
@@ -264,9 +261,9 @@ def _needle_logs(  # pragma: no cover - compiled
             if seen[end]:
                 total, count = total + shown[end] * contrast[end], count + shown[end]
             end += 1
-        hides, turns, stays = same * step / _HIDES, same * step / _TURNS, anew * step / _TREND
-        same += (1 - same - anew) * step / REACH + stays - hides - turns
-        anew += turns - stays
+        changes, lasts = same * step / _CHANGES, anew * step / _TREND
+        same += (1 - same - anew) * step / REACH + lasts - 2 * changes
+        anew += changes - lasts
         logs[b + 1] = logs[b]
         if seen[b]:
             level = max(total / count, 0.0) if count > 0 else 0.0

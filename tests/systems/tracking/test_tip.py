@@ -52,7 +52,7 @@ def test_gap_is_bridged_only_if_more_lies_beyond():
     assert find_extent(profile(0.04, gaps=gaps), PARAMETERS).end < 0.021
 
 
-@pytest.mark.parametrize("ahead", [6e-3, 10e-3, 20e-3])
+@pytest.mark.parametrize("ahead", [8e-3, 12e-3, 20e-3])
 @pytest.mark.parametrize("level", [12.0, 30.0])
 def test_what_shines_ahead_of_the_tip_is_not_its_end(level, ahead):
     needle = profile(0.03, level)
@@ -61,10 +61,25 @@ def test_what_shines_ahead_of_the_tip_is_not_its_end(level, ahead):
     assert extent.tip == pytest.approx(0.03, abs=1e-3)
 
 
+def test_what_shines_close_ahead_may_be_the_end():
+    needle = profile(0.03)
+    spot = 40.0 * np.exp(-0.5 * ((needle.a - 0.036) / 1.2e-3) ** 2)
+    extent = find_extent(replace(needle, level=np.maximum(needle.level, 20 + spot)), PARAMETERS)
+    assert 3e-3 < extent.tip_std < 6e-3
+    assert abs(extent.tip - 0.03) < 2 * extent.tip_std
+
+
 @pytest.mark.parametrize("gap", [5e-3, 15e-3])
 def test_a_needle_that_hides_shows_again_as_bright_as_before(gap):
     extent = find_extent(profile(0.06, 20.0, gaps=[(0.03, 0.03 + gap)]), PARAMETERS)
     assert extent.tip == pytest.approx(0.06, abs=1e-3)
+
+
+@pytest.mark.parametrize("length", [8e-3, 20e-3])
+def test_a_part_that_is_much_brighter_is_still_the_needle(length):
+    faint, bright = profile(0.045 - length, 5.0), profile(0.05, 30.0, start=0.05 - length)
+    both = replace(faint, level=np.maximum(faint.level, bright.level))
+    assert find_extent(both, PARAMETERS).tip == pytest.approx(0.05, abs=1e-3)
 
 
 def test_evidence_grows_with_length():

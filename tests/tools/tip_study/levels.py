@@ -39,7 +39,7 @@ KINDS = {
 """Scenario and changes by kind of needle."""
 
 VALUES = {"_NOTHING": (1.8, 2.2, 2.6), "_SPREAD": (0.25, 0.33), "_TREND": (3.5e-3, 5e-3, 8e-3),
-          "_HIDES": (0.1, 0.2, 0.4)}  # fmt: skip
+          "_CHANGES": (0.1, 0.2, 0.4)}  # fmt: skip
 PARAMETERS = tip.TipParameters()
 NEAR, EVERY, SHORTEST, LEAST = 3e-3, 3, 12e-3, 1e-6
 
