@@ -36,17 +36,18 @@ def write_benchmark(result: BenchmarkResult, folder: Path, command: str) -> None
 
 
 def benchmark_table(data: Mapping[str, Any], tracker: str = "") -> Table:
-    """Return the scores of all trackers over all suites, or of one tracker by suite."""
+    """Return scores over all suites by tracker, in columns, or of one tracker by suite, in rows."""
     scored = {name: each for name, each in data["scores"].items() if ALL in each}
     rows = scored[tracker] if tracker else {name: each[ALL] for name, each in scored.items()}
-    return Table(
+    table = Table(
         ["suite" if tracker else "tracker", *FIGURES.values()],
         [[name, *(row[each]["text"] for each in FIGURES)] for name, row in rows.items()],
     )
+    return table if tracker else table.transposed()
 
 
 def benchmark_markdown(data: Mapping[str, Any]) -> str:
-    """Return the scores as Markdown: all trackers over all suites, then each by suite."""
+    """Return the scores as Markdown: all trackers over all suites, then each by suite, folded."""
     lines = [f"Version {data['version']}, salt {data['salt']}, {data['sequences']} sequences, "
              f"{len(data['failed'])} failed. In brackets: 95 % intervals.", ""]  # fmt: skip
     lines.append(benchmark_table(data).markdown())
@@ -55,7 +56,9 @@ def benchmark_markdown(data: Mapping[str, Any]) -> str:
         lines.append(reliability_table(data).markdown())
     for name in data["scores"]:
         if data["scores"][name]:
-            lines += ["", f"## {name}", "", benchmark_table(data, name).markdown()]
+            summary = f"<summary>{html.escape(name)}, by suite</summary>"
+            lines += ["", "<details>", summary, "", benchmark_table(data, name).markdown(), ""]
+            lines.append("</details>")
     return "\n".join(lines) + "\n"
 
 

@@ -173,7 +173,8 @@ def _share(records: Sequence[Mapping[str, Any]], name: str) -> dict[str, Any]:
 
 
 def _figure(value: Value) -> dict[str, Any]:
-    ends = interval_text(value.low, value.high)
+    endless = value.low == np.inf
+    ends = "" if endless else interval_text(value.low, value.high)
     text = cell_text(value.true)
     return _plain_figure(
         (value.true, value.low, value.high),

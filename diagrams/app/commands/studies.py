@@ -350,7 +350,7 @@ def benchmark_command(
         else:
             result = run_benchmark(names, options)
             write_benchmark(result, folder, command)
-            console.print(benchmark_table(result.data).transposed().terminal(widest=None))
+            console.print(benchmark_table(result.data).terminal(widest=None))
             say_report(folder)
             write_printed(results.json_path, result.data)
             failed = result.failed
