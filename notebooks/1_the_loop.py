@@ -9,6 +9,7 @@
 # %%
 # %matplotlib inline
 import os
+import textwrap
 
 import matplotlib.pyplot as plt
 
@@ -18,9 +19,10 @@ from sonoservo.systems.evaluation import estimate_errors
 
 quick = os.environ.get("SONOSERVO_QUICK", "")  # what the tests change, to be done sooner
 scenario = load_scenario("chatelain2013_fig5", changes=quick.split())
+imaging = scenario.imaging
 print(scenario.description)
-print(scenario.station.probe)
-print(scenario.imaging)
+print(f"The probe is turned by {scenario.station.probe.yaw_deg:.0f} deg.")
+print(f"It sends {imaging.volume_rate} volumes a second, {1e3 * imaging.depth:.0f} mm deep.")
 
 # %% [markdown]
 # The experiment is a Drake diagram. Ports with the same name are connected. Frames: W world, P
@@ -35,7 +37,17 @@ for system in make_experiment(scenario).diagram.GetSystems():
             (system.get_output_port, system.num_output_ports()),
         )
     )
-    print(f"{', '.join(inputs) or '(none)':>60}  ->  {system.get_name()}  ->  {', '.join(outputs)}")
+    print(system.get_name())
+    print(
+        textwrap.fill(
+            ", ".join(inputs) or "-", 80, initial_indent="   in  ", subsequent_indent=" " * 7
+        )
+    )
+    print(
+        textwrap.fill(
+            ", ".join(outputs) or "-", 80, initial_indent="   out ", subsequent_indent=" " * 7
+        )
+    )
 
 # %% [markdown]
 # The console shows each volume as it is acquired: the two orthogonal planes through the estimated
@@ -59,16 +71,17 @@ result = run(scenario, console=console)
 result
 
 # %% [markdown]
-# The features that the servo drives to zero, the tip, the motion of the probe and the force. Solid
-# lines show the truth, dashed lines the estimate. No needle had been found yet in the grey part.
+# The features that the servo drives to zero, the tip, the motion of the probe and the force. In the
+# two panels on top, solid lines show the truth and dashed lines the estimate. No needle had been
+# found yet in the grey part.
 
 # %%
 result.plot()
 
 # %% [markdown]
 # `result.log` holds every signal as an array, in SI units and in W (see the list in
-# `systems/evaluation/README.md`). The estimate after each volume is a few tenths of a millimetre
-# off across the needle, and more along it, because a beam 2 mm wide blurs the needle's end.
+# `systems/evaluation/README.md`). Across the needle the estimate is off by a tenth of a
+# millimetre or two, and along it by more, because a beam 2 mm wide blurs the needle's end.
 
 # %%
 log, errors = result.log, estimate_errors(result.log)

@@ -61,7 +61,8 @@ def estimate_in(volume):
         time=volume.time,
         curve=found.curve,
         velocity=np.zeros((2, 3)),  # a guess: at rest
-        covariance=np.diag(np.repeat([1e-6, 1e-4], 6)),  # a guess: 1 mm, 10 mm/s
+        # Of two control points and their velocities, in three coordinates each: 1 mm, 10 mm/s.
+        covariance=np.diag(np.repeat([1e-6, 1e-4], 6)),
         volume_time=volume.time,
     )
 
@@ -72,7 +73,7 @@ def estimate_in(volume):
 
 # %%
 events = tracker_events(scenario)
-events
+print(f"every {events['period']:.3f} s, from {events['offset']:.3f} s on")
 
 # %%
 runs = {
@@ -106,6 +107,9 @@ for name, result in runs.items():
     )
 
 # %% [markdown]
-# The first tracker has three more parts: a belief about all lines that finds a needle by its
-# motion, a Kalman filter that predicts where to look, and a velocity that the servo feeds forward.
-# To build such a tracker, reuse the blocks in `diagrams/trackers`; each is a system of its own.
+# Without memory, whatever looks like a needle is one at once: here that is the needle, and
+# sooner; in tissue with structures it is often something else. The first tracker waits until it
+# has seen a line advance (a belief about all lines), predicts where to look (a Kalman filter),
+# and gives the servo a velocity to feed forward. Its errors are of the volumes in which it
+# tracks, so the two medians are of different volumes. To build such a tracker, reuse the blocks
+# in `diagrams/trackers`; each is a system of its own.

@@ -40,7 +40,8 @@ probes = {"4DC7-3/40": "4dc7_3_40", "abdominal": str(file)}
 
 # %% [markdown]
 # The full width of its beam at half amplitude (-6 dB, two-way) over depth follows from the aperture
-# integrals. Where the beam is wide, a needle looks thick and its tip is blurred.
+# integrals. Where the beam is wide, a needle looks thick and its tip is blurred. In elevation both
+# probes have the same lens, so their curves coincide.
 
 # %%
 imaging = load_scenario("chatelain2013_fig5").imaging
@@ -78,7 +79,7 @@ figure, axes = plt.subplots(
     2, 2, figsize=(9, 6.5), sharey=True, width_ratios=[3, 1], layout="constrained"
 )
 for row, (name, shown) in zip(axes, scans.items(), strict=True):
-    for axis, view in zip(row, slice_views(shown.volume), strict=True):
+    for axis, view, across in zip(row, slice_views(shown.volume), "ZX", strict=True):
         (left, top), (right, bottom) = 1e3 * view.window
         grey = sample_plane(shown.volume, view.plane, 0.5e-3)
         half = 500 * np.array([view.plane.width, view.plane.height])
@@ -91,6 +92,7 @@ for row, (name, shown) in zip(axes, scans.items(), strict=True):
             extent=(x - half[0], x + half[0], y + half[1], y - half[1]),
         )
         axis.set_xlabel("mm")
+        axis.set_title(f"plane {across} = 0")
     row[0].set_ylabel(f"{name}: depth (mm)")
 
 # %% [markdown]
@@ -102,5 +104,7 @@ beam_width = lateral_width(0.05, load_transducer(file), imaging)
 changes = [f"probe={file}", *os.environ.get("SONOSERVO_QUICK", "duration=20").split()]
 result = run(load_scenario("chatelain2013_fig5", changes=changes))
 print(f"beam {1e3 * beam_width:.2f} mm wide at 50 mm")
-print("detection:", result.summary["detection"])
-print("tip error, mm:", result.summary["tracking"]["tip_error_mm"])
+found, errors = result.summary["detection"], result.summary["tracking"]["tip_error_mm"]
+if found["volume"] is not None:
+    print(f"found in volume {found['volume']}, with {found['visible_mm']:.0f} mm of needle in view")
+    print(f"tip {errors['median']:.2f} mm off (median), {errors['p95']:.2f} mm (95 %)")

@@ -2,7 +2,7 @@
 # # Your own recording
 #
 # The tracker accepts volumes from any source: files of 3D Slicer and PLUS, or your own arrays.
-# Here, a simulated run stands in for your scanner; replace the file with yours and continue.
+# Here, a simulated run stands in for your scanner; give `MINE` the path of your file, and go on.
 
 # %%
 # %matplotlib inline
@@ -20,15 +20,17 @@ from sonoservo.systems.evaluation import picture_planes, plot_planes
 from sonoservo.systems.recording import Recording
 from sonoservo.systems.signals import Volume
 
-folder = tempfile.TemporaryDirectory()
-path = Path(folder.name) / "mine.seq.nrrd"
+MINE = None
 
 # %%
-slow = "duration=20 hand.pushes.0.speed=0.005"
-changes = os.environ.get("SONOSERVO_QUICK", slow).split()
-run(load_scenario("chatelain2013_fig4", changes=changes), record=path)
-print(*(f"{each.name}: {each.stat().st_size / 1e6:.1f} MB" for each in path.parent.iterdir()),
-      sep="\n")  # fmt: skip
+folder = tempfile.TemporaryDirectory()
+path = Path(MINE or f"{folder.name}/simulated.seq.nrrd")
+if MINE is None:
+    slow = "duration=20 hand.pushes.0.speed=0.005"
+    changes = os.environ.get("SONOSERVO_QUICK", slow).split()
+    run(load_scenario("chatelain2013_fig4", changes=changes), record=path)
+    for each in sorted(path.parent.iterdir()):
+        print(f"{each.name}: {each.stat().st_size / 1e6:.1f} MB")
 
 # %% [markdown]
 # A `Recording` reads one volume at a time. A file contains its grid and times. Give whatever it
@@ -43,7 +45,7 @@ print(f"from {recording.times[0]:.2f} to {recording.times[-1]:.2f} s; poses: {re
 
 # %% [markdown]
 # Track the needle, and watch the console meanwhile. In the terminal, use `sonoservo track
-# mine.seq.nrrd --show`.
+# simulated.seq.nrrd --show`.
 
 # %% tags=["remove-output"]
 console = Console()
@@ -51,7 +53,7 @@ console
 
 # %%
 tracked = track_recording(recording, console=console)
-print({name: count for name, count in tracked.summary["modes"].items()})
+print("volumes by mode:", tracked.summary["modes"])
 
 # %% [markdown]
 # Estimates are `NeedleEstimate`s in the world frame W; `tracked.rows` holds them in the file's own
@@ -68,10 +70,11 @@ plt.legend()
 plt.show()
 # %% [markdown]
 # The two orthogonal planes through the needle in a few volumes, along the beam (top) and across it
-# (bottom):
+# (bottom); the middle planes where no needle is tracked:
 
 # %%
-chosen = np.linspace(len(recording) // 3, len(recording) - 1, 4).astype(int)
+shown = [k for k, each in enumerate(tracked.estimates) if each.curve] or range(len(recording))
+chosen = np.array(shown)[np.linspace(0, len(shown) - 1, 4).astype(int)]
 plot_planes(
     [
         picture_planes(recording[k], tracked.estimates[k].mode, tracked.estimates[k].curve)
@@ -87,10 +90,12 @@ plot_planes(
 # %%
 arrays = [each.intensities for each in recording]
 found = locate(arrays[-1], volume.spacing, origin=volume.origin)
-print("tip in the array's coordinates, mm:", 1e3 * found.curve.tip if found else found.reason)
+print("tip in the array's coordinates, mm:",
+      np.round(1e3 * found.curve.tip, 1) if found else found.reason)  # fmt: skip
 volumes = (
     Volume(array, volume.origin, volume.spacing, RigidTransform(), time)
     for array, time in zip(arrays, recording.times, strict=True)
 )
 estimates = list(track(volumes))  # or one by one, as your scanner acquires the volumes
-print([str(estimate.mode) for estimate in estimates[-3:]], 1e3 * estimates[-1].curve.tip)
+last = estimates[-1]
+print(f"{last.mode}:", np.round(1e3 * last.curve.tip, 1) if last.curve else last.reason)

@@ -30,9 +30,10 @@ results = {
 }
 
 # %% [markdown]
-# The path over depth. Left of the dashed line, the slices were used; right of it, the needle is
-# predicted. The band contains it with a probability of 95 % if the curvature wanders as much as
-# the estimator assumes, by about 10 %.
+# The path over depth, in the needle's plane of bending (top) and across it. Left of the dashed
+# line, at which the bevel is turned, the slices were used; right of it, the needle is predicted.
+# The band contains it with a probability of 95 % if the curvature wanders as much as the
+# estimator assumes, by about 10 %.
 
 # %%
 result = results["particle_filter"]
@@ -40,14 +41,15 @@ shape = result.results["shape"]
 plot_shape(result.log, shape)
 
 # %% [markdown]
-# `shape` is a weighted set of paths. It returns positions and their uncertainty at any depth.
+# `shape` is a weighted set of paths. It returns positions in W and their uncertainty at any depth.
 
 # %%
 depths = np.linspace(0, 0.14, 8)
 for depth, position, deviation in zip(
     depths, shape.positions(depths), shape.std(depths), strict=True
 ):
-    print(f"{1e3 * depth:4.0f} mm: {np.round(1e3 * position, 2)} mm, +- {1e3 * deviation:.2f} mm")
+    x, y, z = 1e3 * position
+    print(f"{1e3 * depth:4.0f} mm: {x:6.2f} {y:6.2f} {z:6.2f} mm, +- {1e3 * deviation:.2f} mm")
 
 # %% [markdown]
 # The error of the predicted tip against ground truth as the slices arrive, for each estimator:
@@ -72,4 +74,5 @@ for name, each in results.items():
     )
 
 # %% [markdown]
-# A single needle proves nothing; `sonoservo reproduce carriere2016` compares the methods over 840.
+# A single needle proves nothing, whichever estimator it favours; `sonoservo reproduce carriere2016`
+# compares them over hundreds.

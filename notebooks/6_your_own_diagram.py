@@ -2,7 +2,8 @@
 # # In your own diagram
 #
 # Every block is a Drake system. Here the tracker and the visual servo stand in a diagram of your
-# own, between a scanner and a robot that are yours. The blocks' ports (grey: optional):
+# own, between a scanner and a robot that are yours. The ports of the whole loop, of which the
+# servo is a part of the controller (grey: optional):
 #
 # ![Ports of scanner, tracker, controller and robot](ports.png)
 
@@ -68,11 +69,16 @@ diagram = builder.Build()
 # %%
 simulator = Simulator(diagram)
 simulator.AdvanceTo(volumes[-1].time + PERIOD)
-tracker.GetOutputPort("estimate").Eval(tracker.GetMyContextFromRoot(simulator.get_context()))
+context = tracker.GetMyContextFromRoot(simulator.get_context())
+estimate = tracker.GetOutputPort("estimate").Eval(context)
+print(
+    f"{estimate.mode} at {estimate.time:.1f} s; tip in W, m:",
+    estimate.curve and estimate.curve.tip.round(4),
+)
 
 # %% [markdown]
-# What the servo would have the robot do. It is zero until the needle is found; as this robot does
-# not move, it stays.
+# What the servo would have the robot do: nothing until the needle is found. This robot does not
+# move, so what is wanted along X grows with the tip's distance, up to the limit of 30 mm/s.
 
 # %%
 LABELS = ("along X (mm/s)", "along Z (mm/s)", "about Y (0.001 rad/s)")
@@ -85,5 +91,6 @@ plt.legend()
 plt.show()
 
 # %% [markdown]
-# To close the loop, connect `MakeProbeController` in the servo's place: it adds the force law, the
-# arm's kinematics and the guard, and its `joint_command` goes to your arm.
+# To close the loop, connect `MakeProbeController(parameters=ProbeControllerParameters())` of
+# `sonoservo.diagrams` in the servo's place: it adds the force law, the arm's kinematics and the
+# guard, and its `joint_command` goes to your arm.

@@ -1,10 +1,12 @@
 # %% [markdown]
 # # Learn to follow
 #
-# The loop as an environment of Gymnasium (`pip install 'sonoservo[gym]'`): an agent sees ten
-# features, as the robot's servo does, and moves the probe. Here a small policy learns from the
-# servo in some five minutes on two cores, without a network: behaviour cloning, and one round in
-# which the servo corrects what the policy does (DAgger).
+# The loop as an environment of Gymnasium (extra `gym`): an agent sees ten features, as the
+# robot's servo does, and moves the probe: an action is the velocities along X and Z, that about
+# Y, and the wanted force, each from -1 to 1. The reward is 1 if the needle is centred, aligned
+# and in view, and the force is right. Here a small policy learns from the servo in some five
+# minutes on two cores, without a network: behaviour cloning, and one round in which the servo
+# corrects what the policy does (DAgger).
 
 # %%
 # %matplotlib inline
@@ -13,7 +15,7 @@ import os
 import matplotlib.pyplot as plt
 import numpy as np
 
-from sonoservo.diagrams.environment import FollowNeedle
+from sonoservo.diagrams.environment import FEATURES, FollowNeedle
 
 quick = os.environ.get("SONOSERVO_QUICK", "").split()  # what the tests change, to be done sooner
 steps = 3 if quick else 45
@@ -25,6 +27,7 @@ environment = FollowNeedle(changes=changes)  # or gymnasium.make("sonoservo/Foll
 
 # %%
 rng = np.random.default_rng(0)
+TRACKED = FEATURES.index("tracked")
 
 
 def episode(policy, seed, share=0.0):
@@ -52,7 +55,7 @@ def episode(policy, seed, share=0.0):
 def terms(features):
     """Return the regressors of a policy."""
     features = np.atleast_2d(features)
-    return np.hstack([features, features * features[:, 7:8], np.ones((len(features), 1))])
+    return np.hstack([features, features * features[:, [TRACKED]], np.ones((len(features), 1))])
 
 
 def fitted(seen, expert):
@@ -84,7 +87,8 @@ plt.legend()
 plt.show()
 
 # %% [markdown]
-# What the policy lacks: it sees one instant, so it knows neither how old its knowledge is nor how
-# the needle moves between volumes, which the servo extrapolates at a hundred times a second; it
-# has no reason to hold when the estimate is stale or uncertain; and it knows only the insertions
-# that were shown. `randomize=1.0` turns the dials of the harder world at random.
+# One episode is no comparison; average over many. What the policy lacks: it sees one instant, so
+# it knows neither how old its knowledge is nor how the needle moves between volumes, which the
+# servo extrapolates at a hundred times a second; it has no reason to hold when the estimate is
+# stale or uncertain; and it knows only the insertions that were shown. `randomize=1.0` turns the
+# dials of the harder world at random.

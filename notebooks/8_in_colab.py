@@ -1,9 +1,8 @@
 # %% [markdown]
-# # In the browser, without installing anything here
+# # In Google Colab
 #
-# For Google Colab and other hosted notebooks: install the wheel, run, and see. Set `WHEEL` to the
-# address of the wheel of a release; in a clone, where sonoservo is installed, nothing is fetched.
-# No page needs to be opened.
+# For Colab and other hosted notebooks: install the wheel there, run, and see. `pip wheel
+# --no-deps .` makes the wheel in a clone; upload it, and set `WHEEL` to its path or address.
 
 # %%
 import importlib.util
@@ -11,21 +10,24 @@ import os
 import subprocess
 import sys
 
-WHEEL = os.environ.get("SONOSERVO_WHEEL", "")
-if WHEEL and importlib.util.find_spec("sonoservo") is None:
+WHEEL = ""
+if importlib.util.find_spec("sonoservo") is None:
+    if not WHEEL:
+        raise SystemExit("Set WHEEL to the path or the address of the wheel first.")
     subprocess.run([sys.executable, "-m", "pip", "install", "--quiet", WHEEL], check=True)
 
 # %% [markdown]
-# Sixteen seconds of fig. 5 of Chatelain, Krupa and Marchal (ICRA 2013): the probe presses, and a
-# needle comes in and is found. The first run compiles the numeric kernels, about a minute.
+# Fig. 5 of Chatelain, Krupa and Marchal (ICRA 2013): the probe presses, a needle comes in and is
+# found, and the probe turns and follows it. The first run compiles the numeric kernels, about a
+# minute.
 
 # %%
 # %matplotlib inline
 from sonoservo.diagrams import run
 
-changes = os.environ.get("SONOSERVO_QUICK", "duration=16").split()
+changes = os.environ.get("SONOSERVO_QUICK", "duration=32").split()
 result = run("chatelain2013_fig5", changes=changes, progress=False)
 result
 
 # %%
-result.plots["run.png"][1]
+result.plot()

@@ -266,7 +266,8 @@ def locate_command(
     volume: Annotated[
         Path,
         typer.Argument(
-            help="File with the volume: .nrrd, .nhdr, .mha, .mhd, .nii or .hdf5; see --reconstruct."
+            help="File with the volume: .nrrd, .nhdr, .mha, .mhd, .nii or .hdf5; or frames (also "
+            ".dcm, .h5, a folder of PNG) with --reconstruct."
         ),
     ],
     curve: Curve,
