@@ -107,9 +107,9 @@ for name, result in runs.items():
     )
 
 # %% [markdown]
-# Without memory, whatever looks like a needle is one at once: here that is the needle, and
-# sooner; in tissue with structures it is often something else. The first tracker waits until it
-# has seen a line advance (a belief about all lines), predicts where to look (a Kalman filter),
-# and gives the servo a velocity to feed forward. Its errors are of the volumes in which it
-# tracks, so the two medians are of different volumes. To build such a tracker, reuse the blocks
-# in `diagrams/trackers`; each is a system of its own.
+# Without memory, whatever looks like a needle is one at once: here that is the needle; in tissue
+# with structures it is often something else. The first tracker waits until it has seen a line
+# advance (a belief about all lines), predicts where to look (a Kalman filter), and gives the
+# servo a velocity to feed forward. Its errors are of the volumes in which it tracks, so the two
+# medians are of different volumes. To build such a tracker, reuse the blocks in
+# `diagrams/trackers`; each is a system of its own.
