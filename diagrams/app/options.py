@@ -206,8 +206,8 @@ class Curve:
         float | None,
         millimetres(
             "--echo-offset",
-            "Distance in mm from the centre of the needle's echo to its axis, if known; about two "
-            "thirds of its radius.",
+            "Distance in mm by which the needle's axis lies deeper than the centre of its echo, "
+            "about two thirds of its radius; 0.4 by default, 0 for the echo itself.",
         ),
     ] = None
 

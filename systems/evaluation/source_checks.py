@@ -120,7 +120,8 @@ class _Fault(Enum):
                   "{name}: {lost} of {count} poses are missing or marked invalid",
                   "keep the probe in the tracker's sight")  # fmt: skip
     STILL = (Check.MOTION, Grade.DOUBTFUL, "{name} never moves in {count} poses",
-             "if the probe moved, its tracker sends the last pose again and again")  # fmt: skip
+             "fine if the probe was held; if it moved, its tracker sends the last pose again and "
+             "again")  # fmt: skip
     REPEATED = (Check.MOTION, Grade.DOUBTFUL,
                 "{name}: {share:.0f} % of the poses repeat the one before",
                 "let the tracker measure at least as often as images are taken")  # fmt: skip

@@ -214,6 +214,7 @@ def _check_recording(checked: CheckedSource, recording: Recording, depth: str) -
     checked.findings += _check_header(file, recording.times, "volumes")
     posed = "the volumes have poses" if recording.posed else "no poses: the probe counts as at rest"
     checked.note(Check.CHAIN, posed)
+    recording[len(recording) - 1]  # a file that was cut short ends here
     middle = len(recording) // 2
     volume = recording[middle]
     checked.show(volume, (recording.X_WL(middle).inverse() @ volume.X_WP).rotation())

@@ -45,9 +45,11 @@ def key_volumes(log: RunLog) -> dict[int, str]:
     """Return words on each telling volume by number: detection, loss, largest error, rest."""
     judged = judged_volumes(log)
     if not judged.any():
-        visible = at_times(log, log.visible_length, log.volume_true_time)
-        shown = int(np.argmax(np.nan_to_num(visible)))
-        return {shown: "the volume that shows most of the needle, which was not found"}
+        visible = np.nan_to_num(at_times(log, log.visible_length, log.volume_true_time))
+        if not visible.any():
+            return {len(visible) - 1: "the last volume; none shows a needle"}
+        most = "the volume that shows most of the needle, which was not found"
+        return {int(np.argmax(visible)): most}
     moments: dict[int, list[str]] = {}
 
     def tell(volumes: NDArray[np.intp], number: int, words: str) -> None:

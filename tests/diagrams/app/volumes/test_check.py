@@ -3,6 +3,7 @@
 import json
 import threading
 
+import nibabel
 import numpy as np
 import pytest
 from live_items import make_volume, wait_until
@@ -65,6 +66,16 @@ def test_file_that_cannot_be_read_is_a_finding(tmp_path, capsys, before, after, 
     assert run_arguments(["check", str(path)]) == 1
     assert "what to do" not in capsys.readouterr().out
     assert run_arguments(["check", str(tmp_path / "nowhere.mha")]) == 2
+
+
+def test_a_compressed_file_that_was_cut_short_is_told(tmp_path):
+    path, rng = tmp_path / "a.nii.gz", np.random.default_rng(0)
+    series = nibabel.Nifti1Image(rng.integers(0, 255, (20, 20, 20, 9), np.uint8), np.eye(4))
+    series.header["pixdim"][4] = 0.3
+    nibabel.save(series, path)
+    path.write_bytes(path.read_bytes()[: path.stat().st_size * 2 // 3])
+    (finding,) = check_file(path).findings
+    assert (finding.check, finding.grade) == (Check.READING, Grade.WRONG)
 
 
 @pytest.mark.parametrize(

@@ -87,3 +87,5 @@ def test_without_a_needle_the_volume_that_shows_most_of_it_is_telling(make_log):
     assert "not found" in words
     assert len(true_needle(log, 2)) == 0
     assert plot_key_frames(log, []) == {}
+    unseen = replace(log, visible_length=np.zeros(4))
+    assert key_volumes(unseen) == {3: "the last volume; none shows a needle"}
