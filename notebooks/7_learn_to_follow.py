@@ -15,7 +15,8 @@ import os
 import matplotlib.pyplot as plt
 import numpy as np
 
-from sonoservo.diagrams.environment import FEATURES, FollowNeedle
+from sonoservo.diagrams.environment import FollowNeedle
+from sonoservo.diagrams.environment.follow_needle import FEATURES
 
 quick = os.environ.get("SONOSERVO_QUICK", "").split()  # what the tests change, to be done sooner
 steps = 3 if quick else 45

@@ -1,5 +1,4 @@
 from .commanded_velocity import CommandedVelocity as CommandedVelocity
-from .follow_needle import FEATURES as FEATURES
 from .follow_needle import FollowNeedle as FollowNeedle
 from .reward import MakeCommandedSettings as MakeCommandedSettings
 from .reward import RewardParameters as RewardParameters

@@ -229,7 +229,7 @@ def test_a_folder_of_tables_is_scored_and_reported(short, truth, tmp_path):
     written = json.loads((tmp_path / "out" / "benchmark.json").read_text())
     assert written["scores"]["mine"][ALL] == scores
     table = (tmp_path / "out" / "benchmark.md").read_text()
-    assert "| mine | 1 of 1 |" in table
+    assert "| found | 1 of 1 |" in table
     assert "| 0.75 to 0.95 | 100 % (" in table
     assert kept_markdown(result.outcomes) == table.replace("salt 9", "salt 0")
     assert "clean, seed 9000: cut along" in (tmp_path / "out" / "report.html").read_text()
