@@ -8,8 +8,8 @@ from itertools import zip_longest
 from typing import Any
 
 from sonoservo.diagrams.papers.registry import module_of
-from sonoservo.diagrams.papers.results import case_digits, kept_records, require_addable
-from sonoservo.diagrams.studies.study import Case, Outcome, StudyOptions
+from sonoservo.diagrams.papers.results import by_case, case_digits, kept_records, require_addable
+from sonoservo.diagrams.studies.study import Case, StudyOptions
 from sonoservo.systems.files.refusals import ConfigurationError
 
 _CLOCK = frozenset({"compute", "compute_ms", "compute_s", "track_time"})
@@ -33,7 +33,7 @@ def choose_missing(paper: str) -> Choice:
     ConfigurationError, then or when it chooses, if other code made those that are kept, or none is
     missing.
     """
-    kept = _by_case(require_addable(paper).outcomes)
+    kept = by_case(require_addable(paper).outcomes)
 
     def choose(cases: Sequence[Case]) -> Sequence[Case]:
         missing = [each for each in cases if case_digits(each) not in kept]
@@ -55,7 +55,7 @@ def repeat_kept_runs(paper: str, number: int, options: StudyOptions) -> list[Rep
     records = kept_records(paper)
     if records is None:
         raise ConfigurationError(f"--repeat: no records of runs are kept of {paper}")
-    kept = _by_case(records.outcomes)
+    kept = by_case(records.outcomes)
 
     def choose(cases: Sequence[Case]) -> Sequence[Case]:
         experiments = {each.case.experiment for each in kept.values()}
@@ -74,10 +74,6 @@ def repeat_kept_runs(paper: str, number: int, options: StudyOptions) -> list[Rep
             one, other = ({"error": e.error, "result": e.result} for e in (outcome, record))
             repeats.append(Repeat(outcome.case.name, next(_differences(one, other), "")))
     return repeats
-
-
-def _by_case(kept: Sequence[Outcome]) -> dict[str, Outcome]:
-    return {case_digits(each.case): each for each in kept}
 
 
 def _differences(one: Any, other: Any, path: str = "") -> Iterator[str]:

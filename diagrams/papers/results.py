@@ -96,9 +96,14 @@ def _joined(name: str, outcomes: Sequence[Outcome], command: str) -> Records:
     """Return the kept records of a study with further ones; one made again takes its own place."""
     if (kept := kept_records(name)) is None:
         raise ConfigurationError(f"--keep: no records of {name} are kept to which to add")
-    runs = {case_digits(each.case): each for each in (*kept.outcomes, *outcomes)}
+    runs = by_case([*kept.outcomes, *outcomes])
     joined = present_records([*runs.values()], f"{kept.command}; {command}")
     return replace(joined, repeats=kept.repeats)
+
+
+def by_case(outcomes: Sequence[Outcome]) -> dict[str, Outcome]:
+    """Return outcomes by the digits of their cases; of one case, the last."""
+    return {case_digits(each.case): each for each in outcomes}
 
 
 def case_digits(case: Case) -> str:

@@ -19,9 +19,7 @@ from sonoservo.systems.evaluation.explanation.explained_volume import (
     imaged_needle,
     read_explanations,
 )
-from sonoservo.systems.evaluation.explanation.explanation_sheet import (
-    plot_explanation,
-)
+from sonoservo.systems.evaluation.explanation.explanation_sheet import plot_explanation
 from sonoservo.systems.evaluation.log import read_log
 from sonoservo.systems.evaluation.run_errors import estimate_errors
 from sonoservo.systems.evaluation.run_log import RunLog
