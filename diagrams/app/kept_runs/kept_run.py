@@ -58,6 +58,7 @@ def refusing(scenario: Scenario) -> Iterator[None]:
 class KeptRun:
     """A run that writes its scenario at the start, its log in any case, and its results at the end.
 
+    Until the end, its summary says that it was interrupted, so that this is true whatever ends it.
     An interruption from the keyboard, or a recording that cannot be written, ends the simulation
     but not the program. Without ``out``, no file is written. `unwritten` collects the errors of
     files.
@@ -91,8 +92,9 @@ class KeptRun:
             if self.out is not None:
                 for name in _RESULTS:  # of an earlier run
                     (self.out / name).unlink(missing_ok=True)
-                write_atomically(self.out / "scenario.yaml", self.scenario.to_yaml())
                 clear_explanations(self.out)
+                write_json(self.out / "summary.json", self._head(wall=0.0, interrupted=True))
+                write_atomically(self.out / "scenario.yaml", self.scenario.to_yaml())
             if self._meshcat is not None:
                 self._meshcat.StartRecording(set_visualizations_while_recording=True)
             self._saved = time.perf_counter()
@@ -123,17 +125,9 @@ class KeptRun:
         """Summarise a run that has ended, and write its output files."""
         experiment = self._experiment
         log = experiment.log()
-        summary = {
-            "scenario": self.scenario.name,
-            "seed": self.scenario.seed,
-            "version": version("sonoservo"),
-            "interrupted": self.interrupted,
-            "simulated_s": experiment.time,
-            "wall_s": self._wall,
-            "compile_s": self._clock.compiled,
-            "real_time_factor": experiment.time / self._wall,
-            **experiment.summarize(log),
-        }
+        head = self._head(wall=self._wall, interrupted=self.interrupted)
+        head["real_time_factor"] = experiment.time / self._wall
+        summary = {**head, **experiment.summarize(log)}
         if self.out is not None:  # first, as little time may be left to an interrupted run
             with self.unwritten.collect():
                 write_json(self.out / "summary.json", summary)
@@ -149,6 +143,18 @@ class KeptRun:
         )
         self._write(result, presenter)
         return replace(result, failure=self.unwritten.failure)
+
+    def _head(self, *, wall: float, interrupted: bool) -> dict[str, Any]:
+        """Return the figures of a summary that do not need the log."""
+        return {
+            "scenario": self.scenario.name,
+            "seed": self.scenario.seed,
+            "version": version("sonoservo"),
+            "interrupted": interrupted,
+            "simulated_s": self._experiment.time,
+            "wall_s": wall,
+            "compile_s": self._clock.compiled,
+        }
 
     def _write(self, result: RunResult, presenter: Presenter) -> None:
         """Write pictures, plots, report.html, movie and, with a Meshcat, replay.html."""
@@ -182,6 +188,8 @@ class KeptRun:
     def _save(self) -> None:
         if self.out is not None:
             with self.unwritten.collect():
+                head = self._head(wall=self._clock() - self._started, interrupted=True)
+                write_json(self.out / "summary.json", head)
                 write_log(self.out / "log.npz", self._experiment.log())
                 # which a console may have changed
                 write_atomically(self.out / "scenario.yaml", self._experiment.happened().to_yaml())
