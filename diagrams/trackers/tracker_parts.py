@@ -133,7 +133,8 @@ def add_tracker_parts(
         manager=TrackManager(lifecycle=lifecycle, **events),
     )
     follower = builder.AddNamedSystem(
-        "line_follower", LineFollower(anywhere=lifecycle.anywhere, **events)
+        "line_follower",
+        LineFollower(anywhere=lifecycle.anywhere, sure=parameters.track.act, **events),
     )
     gate = builder.GetSubsystemByName(VOLUME_GATE)
     builder.Connect(gate.GetOutputPort("volume"), follower.GetInputPort("volume"))

@@ -27,8 +27,8 @@ class LineFollower(LeafSystem):
         - belief
         - explanation
 
-    ``estimate`` is the `NeedleEstimate` before the volume. While it shows the needle, the other
-    lines are not needed, and they are forgotten. ``lines`` are the `LineHypotheses` after the
+    ``estimate`` is the `NeedleEstimate` before the volume. While it surely shows the needle, the
+    other lines are not needed, and they are forgotten. ``lines`` are the `LineHypotheses` after the
     volume at the input, and ``belief`` the `LineBelief` from which they follow; they are a
     `NotFound` if there are none. They depend on the state, on the estimate and on that volume.
     ``explanation`` is the `LinesExplanation` of the lines, computed on demand.
@@ -38,6 +38,8 @@ class LineFollower(LeafSystem):
     anywhere
         Whether lines at rest are judged by their looks from the first volume on. If not, they are
         once a needle is no longer seen.
+    sure
+        Least probability of the estimate with which it surely shows the needle.
     period, offset
         Period and offset of the event, in s.
     """
@@ -46,13 +48,14 @@ class LineFollower(LeafSystem):
         self,
         *,
         anywhere: bool = False,
+        sure: float = 0.0,
         period: float,
         offset: float = 0.0,
     ) -> None:
         super().__init__()
         require_positive(period=period)
         require_not_negative(offset=offset)
-        self._anywhere = anywhere
+        self._anywhere, self._sure = anywhere, sure
         declare_inputs(self, volume=(Volume, NotFound), estimate=NeedleEstimate)
         self._belief = self.DeclareAbstractState(Value[object](LineBelief()))
         inputs = {self.all_input_ports_ticket(), self.abstract_state_ticket(self._belief)}
@@ -77,12 +80,13 @@ class LineFollower(LeafSystem):
             output.set_value(self._followed(context, belief, volume))
 
     def _followed(self, context: Context, belief: LineBelief, volume: Volume) -> LineBelief:
-        mode = TrackingMode.SEARCHING
+        look = self._anywhere
         if self.GetInputPort("estimate").HasValue(context):
-            mode = evaluate(self, context, "estimate", NeedleEstimate).mode
-        if mode == TrackingMode.TRACKING:
-            return belief.rested(volume)
-        return follow(belief, volume, look=self._anywhere or mode != TrackingMode.SEARCHING)
+            estimate = evaluate(self, context, "estimate", NeedleEstimate)
+            if estimate.mode == TrackingMode.TRACKING and estimate.probability >= self._sure:
+                return belief.rested(volume)
+            look |= estimate.mode != TrackingMode.SEARCHING
+        return follow(belief, volume, look=look)
 
     def _calc_lines(self, context: Context, output: Value) -> None:
         belief = self._after.Eval(context)

@@ -45,6 +45,9 @@ class Track(Immutable):
     probability: float = 0.0
     reason: str = ""
     """Reason why the last volume did not confirm the needle."""
+    search: "Track | None" = None
+    """Track of the search that goes on if a line at rest turns out to be no needle; None once it is
+    one for sure."""
 
     def __bool__(self) -> bool:
         return self.state is not None
@@ -92,7 +95,8 @@ class Track(Immutable):
         X = X_WP.multiply(self.X_WP.inverse())
         state = self.state and self.state.transformed(X)
         entry = None if self.entry is None else X.multiply(self.entry)
-        return replace(self, X_WP=X_WP, entry=entry, state=state)
+        search = self.search and self.search.seen_from(X_WP)
+        return replace(self, X_WP=X_WP, entry=entry, state=state, search=search)
 
     @property
     def estimate(self) -> NeedleEstimate:

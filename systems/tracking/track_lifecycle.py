@@ -24,6 +24,7 @@ from sonoservo.systems.signals.needle_prediction import NeedlePrediction
 from sonoservo.systems.signals.search_reason import SearchReason
 from sonoservo.systems.signals.velocity_measurement import VelocityMeasurement
 from sonoservo.systems.tracking.needle_filter import NeedleFilter, NeedleState, require_order
+from sonoservo.systems.tracking.needle_line import lie_along
 from sonoservo.systems.tracking.search_region import found_again
 from sonoservo.systems.tracking.track import SUREST, Track
 from sonoservo.systems.tracking.track_parameters import TrackParameters
@@ -138,12 +139,21 @@ class TrackLifecycle:
             found = self.most_probable(track, lines)
             probability = SUREST if isinstance(found, NotFound) else min(found[1], SUREST)
             state = self.needle_filter.start(measurement)
-            return self._confirmed(state, measurement, probability)
+            return self._confirmed(state, measurement, probability, search=track)
         assert track.state is not None
         probability = _bayes(track.probability, _DETECTED / _CLUTTER)
+        if track.search is not None:
+            # That the same line is seen again is no evidence; only how it looks is.
+            found = self.most_probable(track.search, lines)
+            if isinstance(found, NotFound):
+                return self._miss(track.search, time, None, found.reason)
+            ends, probability = found[0], min(found[1], SUREST)
+            seen = measurement.curve.control_points[[0, -1]]
+            if not lie_along(ends[np.newaxis], seen[np.newaxis])[0, 0]:
+                return self._miss(track.search, time, None, SearchReason.UNCERTAIN(" any more"))
         if not self.parameters.filtering:
             state = self.needle_filter.start(measurement)
-            return self._confirmed(state, measurement, probability, track)
+            return self._confirmed(state, measurement, probability, track, search=track.search)
         if measurement.curve.direction @ track.state.curve.direction < 0:
             # Its tip has come out past its entry.
             return Track.without_needle(time, SearchReason.WITHDRAWN())
@@ -151,7 +161,9 @@ class TrackLifecycle:
         distance = innovation_distance(state, measurement)
         if distance <= self.gate:
             state = self.needle_filter.update(state, measurement, speed)
-            return self._confirmed(state, measurement, probability, track, distance)
+            return self._confirmed(
+                state, measurement, probability, track, distance, search=track.search
+            )
         if track.rejected is not None:
             # If two rejected measurements agree with each other, the prediction is wrong.
             before = self.needle_filter.start(track.rejected)
@@ -159,7 +171,9 @@ class TrackLifecycle:
             if innovation_distance(before, measurement) <= self.gate:
                 state = self.needle_filter.start(measurement)
                 moved = replace(track, entry=None)
-                return self._confirmed(state, measurement, probability, moved, distance)
+                return self._confirmed(
+                    state, measurement, probability, moved, distance, search=track.search
+                )
         missed = replace(track, rejected=measurement, innovation=distance)
         off = f" {distance:.1f} standard deviations from the prediction"
         return self._miss(missed, time, speed, SearchReason.OFF_PREDICTION(off))
@@ -171,12 +185,18 @@ class TrackLifecycle:
         probability: float,
         before: Track | None = None,
         innovation: float | None = None,
+        *,
+        search: Track | None,
     ) -> Track:
-        """Return a track that a measurement confirms, which continues an earlier one or begins."""
+        """Return a track that a measurement confirms, which continues an earlier one or begins.
+
+        As long as its line may not be the needle, it can go back to the ``search``.
+        """
         entry = before.entry if before else None
         return replace(
             Track.confirmed(state, measurement.time, innovation, probability),
             entry=state.curve.entry if entry is None else entry,
+            search=search if probability < self.parameters.act else None,
         )
 
     def _miss(

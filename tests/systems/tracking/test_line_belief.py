@@ -126,8 +126,8 @@ def test_the_same_volumes_give_the_same_bits():
         np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
 
 
-def test_leaf_follows_only_while_nothing_is_tracked():
-    leaf = LineFollower(period=1.0)
+def test_leaf_follows_until_a_needle_is_surely_tracked():
+    leaf = LineFollower(sure=0.9, period=1.0)
     context = leaf.CreateDefaultContext()
     fix = lambda port, value: leaf.GetInputPort(port).FixValue(context, Value[object](value))  # noqa: E731
     lines = lambda: leaf.GetOutputPort("lines").Eval(context)  # noqa: E731
@@ -148,8 +148,10 @@ def test_leaf_follows_only_while_nothing_is_tracked():
     tracking = NeedleEstimate(
         TrackingMode.TRACKING, 0.0, curve, np.zeros((2, 3)), 1e-6 * np.eye(12), 0.0
     )
-    fix("estimate", tracking)
+    fix("estimate", replace(tracking, probability=0.8))
     fix("volume", images[3])
+    assert lines()
+    fix("estimate", replace(tracking, probability=0.95))
     assert lines().reason == "a needle is being tracked"
     leaf.ExecuteForcedEvents(context)
     assert not leaf.GetOutputPort("explanation").Eval(context)
