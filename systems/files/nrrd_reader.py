@@ -415,6 +415,8 @@ class _Reader:
                     f"{self.path}: {len(times)} index values for {count} volumes"
                 )
             return times
+        if values is not None:
+            self.notes.append("its index values have no unit of time, so they are not its times")
         return self._regular_times(listed, count)
 
     def _regular_times(self, listed: int, count: int) -> NDArray[np.float64] | None:

@@ -27,7 +27,9 @@ def shorten(message: str) -> str:
     if len(line) <= MAX_MESSAGE:
         return line
     half = (MAX_MESSAGE - 5) // 2
-    return f"{line[:half]} ... {line[-half:]}"
+    first, last = line[:half], line[-half:]
+    first, last = first.rpartition(" ")[0] or first, last.partition(" ")[2] or last  # whole words
+    return f"{first} ... {last}"
 
 
 def describe(error: BaseException) -> str:

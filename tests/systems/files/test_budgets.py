@@ -51,6 +51,8 @@ def test_a_message_is_one_short_printable_line():
     assert len(message) <= MAX_MESSAGE
     assert message.startswith("a b\N{REPLACEMENT CHARACTER}[31m")
     assert message.endswith("the end")
+    words = str(ConfigurationError(" ".join(f"word{n}word" for n in range(200)))).split()
+    assert all(each == "..." or each.endswith("word") for each in words)
 
 
 def test_whatever_fails_inside_names_the_file_and_keeps_its_cause():

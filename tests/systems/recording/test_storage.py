@@ -413,6 +413,16 @@ def test_unknown_fields_and_missing_geometry_are_said(tmp_path):
         assert text in notes
 
 
+def test_index_values_without_a_unit_of_time_are_said_to_be_no_times(tmp_path):
+    head = "\n".join([
+        "NRRD0004", "type: uchar", "dimension: 4", f"sizes: {' '.join(map(str, SHAPE))} 2",
+        "encoding: raw", "kinds: domain domain domain list", "spacings: 1 1 1 nan",
+        "axis 3 index values:=10 20", "", "",
+    ])  # fmt: skip
+    (tmp_path / "a.nrrd").write_bytes(head.encode() + 2 * packed(GREY, "u1", "<"))
+    assert "no unit of time" in " ".join(Recording(tmp_path / "a.nrrd", volume_rate=4).notes)
+
+
 def test_the_documentation_lists_what_becomes_of_each_field():
     text = (Path(__file__).parents[3] / "notebooks" / "docs" / "your_data.md").read_text()
     rows = re.findall(r"^\| (used|checked|without effect) \| (.*) \|$", text, re.MULTILINE)
