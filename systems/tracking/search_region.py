@@ -15,9 +15,6 @@ from sonoservo.systems.tracking.localizer_parameters import NeedleLocalizerParam
 EVERYWHERE = 0.3
 """Length that exceeds any volume, in m."""
 
-_LOST = 1.0
-"""Logarithm of the odds that a needle lost a short while ago is still there."""
-
 _BRIGHT_SHARE, _LEAST_TURN = 0.7, 0.3
 """Share of the largest evidence above which a needle is bright, and share of the largest angle
 that is left for the faintest."""
@@ -28,6 +25,10 @@ _LONG = 20e-3
 _MOST_TURNED, _MOST_ASIDE, _MOST_ADVANCED, _MOST_LENGTHENED = math.radians(20), 25e-3, 50e-3, 1.0
 """Standard deviations of the changes since a needle was lost: direction in rad, distances of the
 line from the last axis and between the tips in m, and logarithm of the visible length."""
+
+_UNMOVED = 1 / 6
+"""Share of those changes but the length's if neither tissue nor probe has moved, which is as
+probable as that they have; other lines lie anywhere."""
 
 
 def predicted_region(
@@ -68,8 +69,9 @@ def found_again(
 ) -> tuple[float, NDArray[np.float64]]:
     """Return the log odds that a line is the lost needle, and its ends in W, the entry first.
 
-    There was a needle, so less evidence suffices. The tissue or the probe may have moved since, so
-    the line may differ from the ``last`` curve, at the price of more evidence.
+    There was a needle, and it is as probable that it is still there as not. The tissue or the probe
+    may have moved since, so the line may differ from the ``last`` curve, at the price of more
+    evidence.
     """
     if (ends[1] - ends[0]) @ last.direction < 0:
         ends = ends[::-1]
@@ -77,13 +79,16 @@ def found_again(
     angle = math.acos(min(float((ends[1] - ends[0]) @ last.direction) / length, 1.0))
     aside = ends.mean(axis=0) - last.tip
     aside -= (aside @ last.direction) * last.direction
-    disagreement = (
+    away = (
         (angle / _MOST_TURNED) ** 2
         + (float(np.linalg.norm(aside)) / _MOST_ASIDE) ** 2
         + (float(np.linalg.norm(ends[1] - last.tip)) / _MOST_ADVANCED) ** 2
-        + (math.log(length / max(last.chord, 1e-3)) / _MOST_LENGTHENED) ** 2
     )
-    return log_odds + _LOST - disagreement / 2, ends
+    lengthened = (math.log(length / max(last.chord, 1e-3)) / _MOST_LENGTHENED) ** 2
+    # Two angles, two distances aside and one along the axis are near those of the last curve.
+    unmoved = -away / _UNMOVED**2 / 2 - 5 * math.log(_UNMOVED)
+    agreement = np.logaddexp(-away / 2, unmoved) - math.log(2) - lengthened / 2
+    return log_odds + float(agreement), ends
 
 
 def line_region(line: NeedleCurve, parameters: NeedleLocalizerParameters) -> SearchRegion:
