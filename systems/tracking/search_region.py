@@ -15,6 +15,9 @@ from sonoservo.systems.tracking.localizer_parameters import NeedleLocalizerParam
 EVERYWHERE = 0.3
 """Length that exceeds any volume, in m."""
 
+_LOST = 1.0
+"""Logarithm of the odds that a needle lost a short while ago is still there, aside or not."""
+
 _BRIGHT_SHARE, _LEAST_TURN = 0.7, 0.3
 """Share of the largest evidence above which a needle is bright, and share of the largest angle
 that is left for the faintest."""
@@ -28,7 +31,7 @@ line from the last axis and between the tips in m, and logarithm of the visible 
 
 _UNMOVED = 1 / 6
 """Share of those changes but the length's if neither tissue nor probe has moved, which is as
-probable as that they have; other lines lie anywhere."""
+probable as that they have. Other lines lie anywhere."""
 
 
 def predicted_region(
@@ -69,9 +72,8 @@ def found_again(
 ) -> tuple[float, NDArray[np.float64]]:
     """Return the log odds that a line is the lost needle, and its ends in W, the entry first.
 
-    There was a needle, and it is as probable that it is still there as not. The tissue or the probe
-    may have moved since, so the line may differ from the ``last`` curve, at the price of more
-    evidence.
+    There was a needle, so less evidence suffices. The tissue or the probe may have moved since, so
+    the line may differ from the ``last`` curve, at the price of more evidence.
     """
     if (ends[1] - ends[0]) @ last.direction < 0:
         ends = ends[::-1]
@@ -87,8 +89,8 @@ def found_again(
     lengthened = (math.log(length / max(last.chord, 1e-3)) / _MOST_LENGTHENED) ** 2
     # Two angles, two distances aside and one along the axis are near those of the last curve.
     unmoved = -away / _UNMOVED**2 / 2 - 5 * math.log(_UNMOVED)
-    agreement = np.logaddexp(-away / 2, unmoved) - math.log(2) - lengthened / 2
-    return log_odds + float(agreement), ends
+    agreement = float(np.logaddexp(-away / 2, unmoved)) - lengthened / 2
+    return log_odds + _LOST + agreement, ends
 
 
 def line_region(line: NeedleCurve, parameters: NeedleLocalizerParameters) -> SearchRegion:
