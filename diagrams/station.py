@@ -280,8 +280,9 @@ def MakeStation(
 
     poses = {}
     for name, body in (("true_X_WP", arm.probe), ("X_WT", placed.body)):
-        poses[name] = builder.AddNamedSystem(name, BodyPose(body=body.index()))
-        builder.Connect(plant.get_body_poses_output_port(), poses[name].get_input_port())
+        frame = plant.GetBodyFrameIdOrThrow(body.index())
+        poses[name] = builder.AddNamedSystem(name, BodyPose(frame=frame))
+        builder.Connect(plant.get_geometry_pose_output_port(), poses[name].get_input_port())
         builder.ExportOutput(poses[name].get_output_port(), name)
     joint_state = add_offset(builder, plant.get_state_output_port(arm.model_instance), offsets)
     builder.ExportOutput(joint_state, "joint_state")

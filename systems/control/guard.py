@@ -188,7 +188,9 @@ class Guard(LeafSystem):
             output.SetFromVector(np.concatenate([q + (context.get_time() - time) * v, v]))
 
     def _calc_guard(self, context: Context, output: Value) -> None:
-        memory, alone = self._memory_in(context), self._alone(context)
+        memory = self._memory_in(context)
+        # Without a cause it does not matter, and to ask would make the arm estimate its torques.
+        alone = memory.cause >= 0 and self._alone(context)
         status = GuardStatus(
             _STATES[Mode(memory.mode)],
             reason(memory, self._limits, self._regions[alone], alone=alone),
@@ -204,9 +206,9 @@ class Guard(LeafSystem):
 
     def _update(self, context: Context, discrete_state: DiscreteValues) -> EventStatus:
         before, n = self._memory_in(context), self._joints
-        allowed = self._regions[self._alone(context)]
-        sent = self._sent.Eval(context)
-        seen = self._look(context, before, sent)
+        alone, sent = self._alone(context), self._sent.Eval(context)
+        allowed = self._regions[alone]
+        seen = self._look(context, before, sent, alone=alone)
         memory = next_memory(before, seen, self._limits, allowed, self._mass)
         latency = self._measured_latency(context, before, memory, seen)
         v = sent[n:].copy()
@@ -220,17 +222,18 @@ class Guard(LeafSystem):
         discrete_state.set_value(
             self._command, np.concatenate([sent[:n], v, [seen.time, memory.mode]])
         )
-        discrete_state.set_value(self._memory, np.array(memory.pack()))
+        discrete_state.set_value(self._memory, memory.pack())
         discrete_state.set_value(self._latency, latency)
-        discrete_state.set_value(self._acting, [float(memory.mode != Mode.MONITORING)])
+        if memory.mode != before.mode:
+            discrete_state.set_value(self._acting, [float(memory.mode != Mode.MONITORING)])
         if memory.caution != before.caution:
             discrete_state.set_value(self._approach_scale, [memory.approach_scale])
         return EventStatus.Succeeded()
 
-    def _look(self, context: Context, memory: GuardMemory, sent: Floats) -> Sight:
+    def _look(self, context: Context, memory: GuardMemory, sent: Floats, *, alone: bool) -> Sight:
         """Return what the guard sees."""
         n, wanted = self._joints, self._wanted.Eval(context)
-        allowed, limits = self._regions[self._alone(context)], self._limits.wrist_sensor
+        allowed, limits = self._regions[alone], self._limits.wrist_sensor
         p, axis, down_P = self._pose(context, sent[:n])
         sample = tuple(self._wrist_force.Eval(context).get_coeffs().tolist())
         bounds = 3 * (limits.max_torque,) + 3 * (limits.max_force,)
@@ -243,7 +246,7 @@ class Guard(LeafSystem):
         if accepted and not (watching and max(beyond(p, axis, memory, allowed)) <= 0):
             ahead, axis_ahead, _ = self._pose(context, sent[:n] + AHEAD * wanted[n:])
         arm, error, total = None, math.nan, 0.0
-        if not self._alone(context):
+        if not alone:
             torque = self._torque.Eval(context)
             levers, error = self._levers_at(context, sent[:n])
             arm, total = float(levers @ torque), float(torque.sum())
@@ -289,7 +292,8 @@ class Guard(LeafSystem):
     ) -> Floats:
         """Return the state of the measurement of the latency after a step."""
         state = context.get_discrete_state(self._latency).value()
-        (latency, expected_before, confirmation), rest = state[:3], state[3:].reshape(5, -1)
+        latency, expected_before, confirmation = state[:3].tolist()
+        rest = state[3:].reshape(5, -1)
         if self._confirmation.HasValue(context):
             confirmation = self._confirmation.Eval(context)[0]
         changes = [a - b for a, b in zip(after.velocity, before.velocity, strict=True)]
@@ -301,8 +305,8 @@ class Guard(LeafSystem):
             latency = max(found - _SERVO_STEPS * seen.step, 0.0)
         if not seen.plausible or seen.latency > self._limits.wrist_sensor.max_latency:
             latency, correlation = 0.0, np.zeros_like(correlation)  # to be measured anew
-        arms = np.concatenate([[seen.arm or 0.0], rest[0, :-1]])
-        return np.concatenate([[latency, expected, confirmation], arms, correlation.ravel()])
+        start = [latency, expected, confirmation, seen.arm or 0.0]
+        return np.concatenate([start, rest[0, :-1], correlation.ravel()])
 
     def _pose(self, context: Context, q: Floats) -> tuple[Vector, Vector, Vector]:
         """Return the position and the axis of the probe in W, and the direction down in P."""

@@ -242,7 +242,8 @@ def remark(noticed: Sequence[float]) -> str:
     """Return what was noticed without a need to intervene, with its number of steps."""
     texts = []
     for rule, count in zip(RULES, noticed, strict=True):
-        short = f"too short for a stop ({rule.name.replace('_', ' ')})"
-        text = rule.text if rule.reaction is Reaction.NOTE else short
-        texts += [f"{text}: {count:g}"] * bool(count)
+        if count:
+            short = f"too short for a stop ({rule.name.replace('_', ' ')})"
+            text = rule.text if rule.reaction is Reaction.NOTE else short
+            texts.append(f"{text}: {count:g}")
     return "; ".join(texts)

@@ -1,8 +1,8 @@
 """Leaf system that outputs the pose of one body."""
 
 from pydrake.common.value import Value
+from pydrake.geometry import FrameId, FramePoseVector
 from pydrake.math import RigidTransform
-from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.framework import Context, LeafSystem
 
 from sonoservo.systems.signals.ports import declare_output
@@ -15,23 +15,24 @@ class BodyPose(LeafSystem):
 
         name: BodyPose
         input_ports:
-        - body_poses
+        - geometry_pose
         output_ports:
         - pose
 
-    `body_poses` is the plant's list of poses; `pose` is the RigidTransform X_WB.
+    `geometry_pose` is the plant's FramePoseVector of the bodies with a shape; `pose` is the
+    RigidTransform X_WB. The plant's list of all `body_poses` would be converted at each reading.
 
     Parameters
     ----------
-    body
-        Index of the body.
+    frame
+        Geometry frame of the body (`MultibodyPlant.GetBodyFrameIdOrThrow`).
     """
 
-    def __init__(self, *, body: BodyIndex):
+    def __init__(self, *, frame: FrameId):
         super().__init__()
-        self._body = int(body)
-        self._poses = self.DeclareAbstractInputPort("body_poses", Value[list[RigidTransform]]())
+        self._frame = frame
+        self._poses = self.DeclareAbstractInputPort("geometry_pose", Value(FramePoseVector()))
         declare_output(self, "pose", RigidTransform, self._calc_pose, {self._poses.ticket()})
 
     def _calc_pose(self, context: Context, output: Value) -> None:
-        output.set_value(self._poses.Eval(context)[self._body])
+        output.set_value(self._poses.Eval(context).value(self._frame))

@@ -18,7 +18,7 @@ def declare_memory(system: LeafSystem, make: Callable[[], T]) -> Callable[[Conte
         ValueProducer(lambda: Value[object](make()), ValueProducer.NoopCalc),
         {system.nothing_ticket()},
     )
-    return lambda context: entry.get_mutable_cache_entry_value(context).GetMutableValueOrThrow()
+    return entry.Eval
 
 
 def declare_looks(

@@ -1,6 +1,7 @@
 """Inserted part of a real needle."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Annotated
 
 import numpy as np
@@ -48,10 +49,15 @@ class Needle(Immutable):
         """(3,) position of the tip in m."""
         return self.shaft[-1]
 
+    @cached_property
+    def _steps(self) -> NDArray[np.float64]:
+        """Distances between successive points of the shaft, in m."""
+        return np.linalg.norm(np.diff(self.shaft, axis=0), axis=1)
+
     @property
     def length(self) -> float:
         """Inserted length along the shaft, in m."""
-        return float(np.linalg.norm(np.diff(self.shaft, axis=0), axis=1).sum())
+        return float(self._steps.sum())
 
     @property
     def curve(self) -> NeedleCurve:
@@ -60,7 +66,7 @@ class Needle(Immutable):
 
     def position(self, s: ArrayLike) -> NDArray[np.float64]:
         """Return the (..., 3) positions in m at distances s along the shaft from the entry in m."""
-        ends = np.concatenate([[0], np.linalg.norm(np.diff(self.shaft, axis=0), axis=1).cumsum()])
+        ends = np.concatenate([[0], self._steps.cumsum()])
         s = np.asarray(s, dtype=float)
         return np.stack([np.interp(s, ends, axis) for axis in self.shaft.T], axis=-1)
 

@@ -12,7 +12,7 @@ from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from sonoservo.systems.signals.immutable import Immutable, NotFound
 from sonoservo.systems.signals.needle import Needle
-from sonoservo.systems.signals.ports import declare_inputs, declare_output, evaluate
+from sonoservo.systems.signals.ports import declare_inputs, declare_output, evaluate_port
 from sonoservo.systems.signals.requirements import require_not_negative
 from sonoservo.systems.signals.sweep import MotionRecord, Sweep, SweepGeometry, SweepMotion
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
@@ -144,10 +144,11 @@ class Scanner(LeafSystem):
         self.geometry: SweepGeometry = self._renderer.geometry
         # The framework marks all state as changed at every event, but a sweep is immutable.
         self._rendered = lru_cache(maxsize=2)(self._render)
-        self.DeclareAbstractInputPort("X_WP", Value(RigidTransform()))
-        self.DeclareAbstractInputPort("X_WT", Value(RigidTransform()))
+        self._X_WP = self.DeclareAbstractInputPort("X_WP", Value(RigidTransform()))
+        self._X_WT = self.DeclareAbstractInputPort("X_WT", Value(RigidTransform()))
         declare_inputs(self, needle=Needle, deformation=Deformation)
-        self.DeclareAbstractInputPort("true_X_WP", Value(RigidTransform()))
+        self._needle, self._deformation = map(self.GetInputPort, ("needle", "deformation"))
+        self._true_X_WP = self.DeclareAbstractInputPort("true_X_WP", Value(RigidTransform()))
         self._parameters, self._seed, self._processing_time = parameters, seed, processing_time
         ahead = math.ceil(abs(parameters.clock.offset) / self.geometry.frame_period)
         self._kept = self.geometry.frames + 2 * ahead + 2
@@ -172,15 +173,14 @@ class Scanner(LeafSystem):
         before: _Progress = context.get_abstract_state(self._progress).get_value()
         acquiring, waiting, reception = before.acquiring, before.waiting, before.reception
         # Copied, because an input's value changes in place.
-        measured = RigidTransform(evaluate(self, context, "X_WP", RigidTransform))
-        true = measured
-        if self.GetInputPort("true_X_WP").HasValue(context):
-            true = RigidTransform(evaluate(self, context, "true_X_WP", RigidTransform))
-        X_WT = RigidTransform(evaluate(self, context, "X_WT", RigidTransform))
-        needle = evaluate(self, context, "needle", Needle)
+        true = measured = RigidTransform(self._X_WP.Eval(context))
+        if self._true_X_WP.HasValue(context):
+            true = RigidTransform(self._true_X_WP.Eval(context))
+        X_WT = RigidTransform(self._X_WT.Eval(context))
+        needle = evaluate_port(self._needle, context, Needle)
         deformation = None
-        if self.GetInputPort("deformation").HasValue(context):
-            deformation = evaluate(self, context, "deformation", Deformation)
+        if self._deformation.HasValue(context):
+            deformation = evaluate_port(self._deformation, context, Deformation)
         frame = _Snapshot(time, true, X_WT, needle, measured, deformation)
         latest = (*before.latest, frame)[-self._kept :]
         if len(acquiring.frames) == self.geometry.frames:
