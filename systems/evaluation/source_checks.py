@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.stats import t as student
 
 from sonoservo.systems.calibration.pose_errors import PoseErrors
+from sonoservo.systems.calibration.recorded_errors import are_told
 from sonoservo.systems.files.volume_file import MAX_STEP
 from sonoservo.systems.sampling.interpolation import sample_grid
 from sonoservo.systems.signals.immutable import NotFound
@@ -304,16 +305,24 @@ def check_errors(errors: PoseErrors | NotFound) -> list[Finding]:
     """Check delay and calibration of the poses, as tissue that stands still tells them."""
     if isinstance(errors, NotFound):
         return [_fine(Check.DELAY, f"delay and calibration unknown: {errors.reason}")]
-    half = 2 * errors.std
-    shift, turn = np.linalg.norm(errors.translation), np.linalg.norm(errors.rotation)
-    text = (
-        f"{_late(errors.delay, half[0])}, and the image is displaced by {1e3 * shift:.1f} mm and "
-        f"{np.degrees(turn):.1f} deg"
+    told, half = are_told(errors), 2 * errors.std
+    moved, moved_half, turned, turned_half = (
+        float(np.linalg.norm(each[part][told[part]]))
+        for part in (slice(1, 4), slice(4, 7))
+        for each in (np.array([0, *errors.translation, *errors.rotation]), half)
     )
-    late = abs(errors.delay) - half[0] > 0 and abs(errors.delay) > _LATE
-    displaced = shift > _DISPLACED + np.linalg.norm(half[1:4])
-    turned = np.degrees(turn) > _TURNED_DEG + np.degrees(np.linalg.norm(half[4:]))
-    wrong = late or displaced or turned
+    text = ", ".join(
+        [
+            _late(errors.delay, half[0]) if told[0] else "how late poses are cannot be told",
+            *([f"the image is displaced by {1e3 * moved:.1f} mm"] if told[1:4].any() else []),
+            *([f"the image is turned by {np.degrees(turned):.1f} deg"] if told[4:].any() else []),
+            *(["the rest cannot be told from these volumes"] if not told[1:].all() else []),
+        ]
+    )
+    late = told[0] and abs(errors.delay) > max(half[0], _LATE)
+    displaced = moved > _DISPLACED + moved_half
+    rotated = np.degrees(turned - turned_half) > _TURNED_DEG
+    wrong = late or displaced or rotated
     return [_Fault.POSES(text=text) if wrong else _fine(Check.DELAY, text)]
 
 

@@ -18,7 +18,7 @@ from sonoservo.diagrams.app.volumes.opening import (
     open_volumes,
     with_frames,
 )
-from sonoservo.systems.calibration.pose_errors import PoseCalibration
+from sonoservo.systems.calibration.recorded_errors import RecordedCalibration
 from sonoservo.systems.evaluation.reports.scan_sheet import orientation_sheet
 from sonoservo.systems.evaluation.source_checks import (
     Check,
@@ -219,7 +219,7 @@ def _check_recording(checked: CheckedSource, recording: Recording, depth: str) -
     volume = recording[middle]
     checked.show(volume, (recording.X_WL(middle).inverse() @ volume.X_WP).rotation())
     if recording.posed and len(recording) > 1:
-        calibration = PoseCalibration()
+        calibration = RecordedCalibration()
         for number in range(min(len(recording), _CALIBRATED)):
             calibration = calibration.seen(recording[number])
         checked.findings += check_errors(calibration.errors)
@@ -364,7 +364,7 @@ def _check_images(checked: CheckedSource, record: _StreamRecord, maker: VolumeMa
             text, advice = "no image", "let the scanner's program send IMAGE messages"
         checked.note(Check.CONTENT, text, Grade.DOUBTFUL, advice)
         return
-    volumes, calibration = [], PoseCalibration()
+    volumes, calibration = [], RecordedCalibration()
     for posed in record.images:
         volume = maker(posed)
         if isinstance(volume, Volume):
