@@ -214,14 +214,17 @@ def _check_recording(checked: CheckedSource, recording: Recording, depth: str) -
     checked.findings += _check_header(file, recording.times, "volumes")
     posed = "the volumes have poses" if recording.posed else "no poses: the probe counts as at rest"
     checked.note(Check.CHAIN, posed)
-    recording[len(recording) - 1]  # a file that was cut short ends here
-    middle = len(recording) // 2
-    volume = recording[middle]
-    checked.show(volume, (recording.X_WL(middle).inverse() @ volume.X_WP).rotation())
-    if recording.posed and len(recording) > 1:
-        calibration = RecordedCalibration()
-        for number in range(min(len(recording), _CALIBRATED)):
-            calibration = calibration.seen(recording[number])
+    calibrates = recording.posed and len(recording) > 1
+    calibrated = range(min(len(recording), _CALIBRATED) if calibrates else 0)
+    middle, calibration = len(recording) // 2, RecordedCalibration()
+    # A file that was cut short ends at its last volume.
+    for number in sorted({*calibrated, middle, len(recording) - 1}):
+        volume = recording[number]
+        if number == middle:
+            checked.show(volume, (recording.X_WL(middle).inverse() @ volume.X_WP).rotation())
+        if number in calibrated:
+            calibration = calibration.seen(volume)
+    if calibrates:
         checked.findings += check_errors(calibration.errors)
 
 
