@@ -206,7 +206,7 @@ def _track_file(
         )
     viewed.end(result.log)
     console.print(mode_table(result.summary))
-    for line in reasons_lines(result.summary):
+    for line in (result.found, *reasons_lines(result.summary)):
         say(line)
     say_report(folder)
     write_printed(results.json_path, result.summary)

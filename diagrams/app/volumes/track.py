@@ -46,7 +46,7 @@ from sonoservo.systems.files.typed_yaml import suggest
 from sonoservo.systems.files.writing import Unwritten, claim_folder, write_atomically, write_json
 from sonoservo.systems.recording.side_files import TRUTH, Truth, read_truth, side_path
 from sonoservo.systems.signals.needle import Needle
-from sonoservo.systems.signals.needle_estimate import NeedleEstimate
+from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
 from sonoservo.systems.signals.search_reason import Reader
 from sonoservo.systems.signals.volume import Volume
 
@@ -75,6 +75,19 @@ class TrackedRecording(RunResult):
         if "tip.png" not in self.plots:
             raise ValueError("no volume was tracked, so there is nothing to plot")
         return self.plots["tip.png"][1]
+
+    @property
+    def found(self) -> str:
+        """When a needle was found, for how long it was tracked and where its tip was last."""
+        tracked = [row for row in self.rows if row["mode"] == TrackingMode.TRACKING]
+        if not tracked:
+            return "No needle was found."
+        first, last = tracked[0], tracked[-1]
+        tip = ", ".join(f"{last[f'tip_{axis}_mm']:.1f}" for axis in "lps")
+        return (
+            f"A needle was found at {first['time_s']:.2f} s and tracked in {len(tracked)} of "
+            f"{len(self.rows)} volumes; its tip was last at ({tip}) mm in LPS."
+        )
 
     def __str__(self) -> str:
         return table_text(mode_table(self.summary))

@@ -41,7 +41,9 @@ def mine(tmp_path, monkeypatch):
     return own_tracker_of_a_test
 
 
-def test_a_function_runs_and_tracks_alike_whether_given_itself_or_by_its_factory(mine, tmp_path):
+def test_a_function_runs_and_tracks_alike_whether_given_itself_or_by_its_factory(
+    mine, tmp_path, capsys
+):
     path = tmp_path / "a.seq.nrrd"
     result = run("chatelain2013_fig5", changes=SHORT, tracker=mine.make(), record=path)
     tips = result.log.volume_estimate_tip
@@ -52,6 +54,15 @@ def test_a_function_runs_and_tracks_alike_whether_given_itself_or_by_its_factory
     factory = "own_tracker_of_a_test:make"
     command = ["track", str(path), "--tracker", factory, "--json", "t.json", "--out", "t"]
     assert run_arguments(command) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    found = (
+        f"A needle was found at {again.times[0]:.2f} s and tracked in {len(tips)} of {len(tips)}"
+    )
+    assert f"{found} volumes; its tip was last at (" in said
+    assert run_arguments(["track", str(path), "--out", "none"]) == 0
+    assert "No needle was found. Volumes without a needle:" in " ".join(
+        capsys.readouterr().out.split()
+    )
     assert json.loads((tmp_path / "t.json").read_text())["modes"] == {"tracking": len(tips)}
     changes = [each for change in (*SHORT, f"tracker={factory}") for each in ("--set", change)]
     command = ["run", "chatelain2013_fig5", *changes, "--no-meshcat", "--json", "r.json"]
