@@ -137,12 +137,21 @@ def run_command(
 ) -> None:
     """Run a scenario and write its results; exit status 3: stopped for good, or no contact."""
     with console.status("Loading the simulator ..."):
+        from sonoservo.diagrams.app.own_tracker import is_factory
         from sonoservo.diagrams.app.run import run
         from sonoservo.diagrams.app.terminal import end_run
         from sonoservo.diagrams.app.viewed_run import ViewedRun
         from sonoservo.diagrams.experiments.registry import load_scenario
 
-        loaded = load_scenario(scenario, changes=changes, seed=seed, as_published=as_published)
+        # A tracker of one's own is no field of a scenario.
+        own, fields = None, []
+        for each in changes or []:
+            name, _, value = each.partition("=")
+            if name == "tracker" and is_factory(value):
+                own = value
+            else:
+                fields.append(each)
+        loaded = load_scenario(scenario, changes=fields, seed=seed, as_published=as_published)
     viewed = ViewedRun(log, loaded)
     folder = results.out or free_folder(f"{loaded.name}_seed{loaded.seed}")
     if click:
@@ -165,6 +174,7 @@ def run_command(
         record=record,
         record_sweeps=record_sweeps,
         explain=explain,
+        tracker=own,
         after_step=viewed,
         progress=console,
     )

@@ -217,7 +217,11 @@ class Tracker(Curve):
     """Tracker."""
 
     tracker: Annotated[
-        str, typer.Option(help="Name of a tracker, such as chatelain2013 or zhao2012.")
+        str,
+        typer.Option(
+            help="Name of a tracker, such as chatelain2013 or zhao2012, or module:factory of your "
+            "own."
+        ),
     ] = "chatelain2013"
     start: Annotated[
         str, typer.Option(help="search: wait for an insertion; anywhere: look in whole volumes.")

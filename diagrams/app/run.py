@@ -12,10 +12,12 @@ from pydrake.systems.framework import System
 from rich.console import Console as Terminal
 
 from sonoservo.diagrams.app.kept_runs.kept_run import KeptRun, refusing
+from sonoservo.diagrams.app.own_tracker import OwnTracker, as_system
 from sonoservo.diagrams.app.pages.pacer import Pacer
 from sonoservo.diagrams.app.run_result import RunResult
 from sonoservo.diagrams.app.terminal import Progress, run_progress
 from sonoservo.diagrams.experiments.experiment import Experiment
+from sonoservo.diagrams.experiments.following_scene import tracker_events
 from sonoservo.diagrams.experiments.registry import (
     experiment_class,
     load_scenario,
@@ -42,7 +44,7 @@ def run(
     console: "Console | None" = None,
     replay: bool = False,
     movie: str | Path | None = None,
-    tracker: System | None = None,
+    tracker: OwnTracker | None = None,
     record: str | Path | None = None,
     record_sweeps: bool = False,
     explain: bool = False,
@@ -72,7 +74,9 @@ def run(
     movie
         File for a movie of the run, ``NAME.gif`` or ``NAME.mp4``; None writes none.
     tracker
-        Custom tracker that replaces the scenario's; see `FollowingExperiment`.
+        Tracker that replaces the scenario's: a system (see `FollowingExperiment`), a function from
+        the next `Volume` to the `NeedleEstimate` after it, or ``"module:factory"`` of either, as
+        for the benchmark.
     record
         File to which the volumes are recorded one by one, ``NAME.seq.nrrd``, with the truth beside
         it; None records nothing. The recording survives an interruption.
@@ -117,6 +121,8 @@ def run(
     with ExitStack() as stack:
         if replay and meshcat is None:
             meshcat = open_meshcat(stack.enter_context(Site()))
+        if tracker is not None and "tracker" in possible:
+            tracker = as_system(tracker, **tracker_events(scenario))
         with refusing(scenario):
             experiment = make_experiment(
                 scenario,

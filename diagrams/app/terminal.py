@@ -171,5 +171,6 @@ def pose_error_table(figures: Mapping[str, Any]) -> TerminalTable:
     ):
         errors = zip("xyz", figures[f"{name}_{unit}"], figures[f"{name}_std_{unit}"], strict=True)
         rows += [[f"{label} {axis}, {unit}", *each] for axis, *each in errors]
+    rows = [row if row[1] is not None else [row[0], "cannot be told", ""] for row in rows]
     table = Table(["quantity", "estimate", "standard deviation"], rows)
     return table.terminal("Errors of the poses", "x: lateral, y: depth, z: elevation", widest=None)

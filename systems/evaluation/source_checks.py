@@ -8,9 +8,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.stats import skew
 from scipy.stats import t as student
 
 from sonoservo.systems.calibration.pose_errors import PoseErrors
+from sonoservo.systems.calibration.recorded_errors import are_told
 from sonoservo.systems.files.volume_file import MAX_STEP
 from sonoservo.systems.sampling.interpolation import sample_grid
 from sonoservo.systems.signals.immutable import NotFound
@@ -34,6 +36,15 @@ _FASTEST = 1.0  # highest speed in m/s at which a hand or a robot moves a probe
 
 _AXIAL_MM, _ACROSS_MM = (0.05, 3.0), (0.15, 12.0)
 """Widths of speckle along and across the sound, of probes from 2 to 20 MHz."""
+
+_RAYLEIGH = 0.63
+"""Skewness of the amplitudes of fully developed speckle; that of their logarithms is -1.1. Noise
+and averaging bring both nearer to 0."""
+
+_BLOCK, _LEAST_BLOCKS = 8e-3, 5
+"""Edge length in m of the blocks whose skewness is measured, and number of them that tells it."""
+
+_CLIPPED = 1e-3  # share of black voxels in a block from which clipping has changed its skewness
 
 _OTHER_AXIS = 1.4  # ratio of speckle widths from which the narrower axis is taken for the sound's
 _LATE = 15e-3  # delay of poses in s that shows: a probe at 30 mm/s moves half a millimetre
@@ -119,9 +130,6 @@ class _Fault(Enum):
     LOST_POSES = (Check.MOTION, Grade.DOUBTFUL,
                   "{name}: {lost} of {count} poses are missing or marked invalid",
                   "keep the probe in the tracker's sight")  # fmt: skip
-    STILL = (Check.MOTION, Grade.DOUBTFUL, "{name} never moves in {count} poses",
-             "fine if the probe was held; if it moved, its tracker sends the last pose again and "
-             "again")  # fmt: skip
     REPEATED = (Check.MOTION, Grade.DOUBTFUL,
                 "{name}: {share:.0f} % of the poses repeat the one before",
                 "let the tracker measure at least as often as images are taken")  # fmt: skip
@@ -133,6 +141,14 @@ class _Fault(Enum):
                     "look up the size of a voxel, and write it into the header")  # fmt: skip
     BLANK = (Check.CONTENT, Grade.WRONG, "the volume shows nothing: all of its numbers are one",
              "look at the scanner's gain and whether it was frozen")  # fmt: skip
+    UNKNOWN = (Check.CONTENT, Grade.WRONG,
+               "the volume holds no echo: each of its numbers is NaN, infinite or stands for what "
+               "was not seen",
+               "let its program write finite numbers, and look at --void")  # fmt: skip
+    LINEAR = (Check.CONTENT, Grade.DOUBTFUL,
+              "its numbers are amplitudes, it seems: their speckle has a skewness of "
+              "{skewness:.2f}, and below {most:.2f} if it is log-compressed",
+              "compress them (20 log10), as scanners do for their screens")  # fmt: skip
     HOLLOW = (Check.CONTENT, Grade.DOUBTFUL, "{text}",
               "if it is a reconstruction, sweep more slowly or make its voxels larger; else look "
               "at gain, threshold and window")  # fmt: skip
@@ -234,7 +250,11 @@ def check_motion(name: str, matrices: ArrayLike, times: ArrayLike) -> list[Findi
     turned = np.degrees(np.sqrt(np.square(R - R[0]).sum(axis=(1, 2)).max() / 2))
     spread = float(np.ptp(p, axis=0).max())
     if spread < _STILL_MM and turned < _STILL_DEG:
-        return [*findings, _Fault.STILL(name=name, count=len(each))]
+        text = (
+            f"{name} never moves in {len(each)} poses, as of a probe that is held: delay and "
+            "calibration cannot be judged, nor whether a tracker repeats its last pose"
+        )
+        return [*findings, _fine(Check.MOTION, text)]
     findings.append(_fine(Check.MOTION, f"{name} moves over {spread:.3g} mm and {turned:.3g} deg"))
     same = (each[1:] == each[:-1]).all(axis=(1, 2))
     if same.mean() > _REPEATED:
@@ -258,9 +278,26 @@ def check_spacing(spacing: ArrayLike) -> list[Finding]:
 
 def check_volume(volume: Volume) -> list[Finding]:
     """Check the contrast of a volume, its empty part and its speckle."""
+    if not volume.seen.any():
+        return [_Fault.UNKNOWN()]
     if float(volume.intensities.max()) - float(volume.intensities.min()) <= 0:
         return [_Fault.BLANK()]
-    return [_check_empty(volume), _check_speckle(volume)]
+    return [_check_empty(volume), *_check_compression(volume), _check_speckle(volume)]
+
+
+def _check_compression(volume: Volume) -> list[Finding]:
+    """Check that speckle is skewed as that of log-compressed echoes, where nothing is clipped."""
+    shape = np.array(volume.intensities.shape)
+    size = np.clip(np.round(_BLOCK / volume.spacing).astype(int), 1, shape)
+    number = shape // size
+    whole = volume.intensities[tuple(slice(n) for n in number * size)].astype(float)
+    split = whole.reshape(np.column_stack([number, size]).ravel()).transpose(0, 2, 4, 1, 3, 5)
+    blocks = split.reshape(number.prod(), size.prod())
+    blocks = blocks[((blocks == 0).mean(axis=1) < _CLIPPED) & (np.ptp(blocks, axis=1) > 0)]
+    if len(blocks) < _LEAST_BLOCKS:
+        return []
+    skewness, most = float(np.median(skew(blocks, axis=1))), _RAYLEIGH / 2
+    return [_Fault.LINEAR(skewness=skewness, most=most)] if skewness > most else []
 
 
 def _check_empty(volume: Volume) -> Finding:
@@ -304,16 +341,24 @@ def check_errors(errors: PoseErrors | NotFound) -> list[Finding]:
     """Check delay and calibration of the poses, as tissue that stands still tells them."""
     if isinstance(errors, NotFound):
         return [_fine(Check.DELAY, f"delay and calibration unknown: {errors.reason}")]
-    half = 2 * errors.std
-    shift, turn = np.linalg.norm(errors.translation), np.linalg.norm(errors.rotation)
-    text = (
-        f"{_late(errors.delay, half[0])}, and the image is displaced by {1e3 * shift:.1f} mm and "
-        f"{np.degrees(turn):.1f} deg"
+    told, half = are_told(errors), 2 * errors.std
+    moved, moved_half, turned, turned_half = (
+        float(np.linalg.norm(each[part][told[part]]))
+        for part in (slice(1, 4), slice(4, 7))
+        for each in (np.array([0, *errors.translation, *errors.rotation]), half)
     )
-    late = abs(errors.delay) - half[0] > 0 and abs(errors.delay) > _LATE
-    displaced = shift > _DISPLACED + np.linalg.norm(half[1:4])
-    turned = np.degrees(turn) > _TURNED_DEG + np.degrees(np.linalg.norm(half[4:]))
-    wrong = late or displaced or turned
+    text = ", ".join(
+        [
+            _late(errors.delay, half[0]) if told[0] else "how late poses are cannot be told",
+            *([f"the image is displaced by {1e3 * moved:.1f} mm"] if told[1:4].any() else []),
+            *([f"the image is turned by {np.degrees(turned):.1f} deg"] if told[4:].any() else []),
+            *(["the rest cannot be told from these volumes"] if not told[1:].all() else []),
+        ]
+    )
+    late = told[0] and abs(errors.delay) > max(half[0], _LATE)
+    displaced = moved > _DISPLACED + moved_half
+    rotated = np.degrees(turned - turned_half) > _TURNED_DEG
+    wrong = late or displaced or rotated
     return [_Fault.POSES(text=text) if wrong else _fine(Check.DELAY, text)]
 
 

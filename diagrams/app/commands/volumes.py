@@ -35,7 +35,6 @@ if TYPE_CHECKING:
 
     from sonoservo.diagrams.app.pages.pages import Pages
     from sonoservo.diagrams.app.volumes.opening import Opened
-    from sonoservo.diagrams.trackers.tracker_parts import TrackerParameters
     from sonoservo.systems.signals.needle_estimate import NeedleEstimate
 
 
@@ -64,17 +63,28 @@ def track_command(
     log: LogOption = None,
 ) -> None:
     """Track a needle through recorded or live volumes, and write a folder of results."""
+    from sonoservo.diagrams.app.own_tracker import is_factory
     from sonoservo.diagrams.app.volumes.track import tracker_parameters
     from sonoservo.systems.live.connection.address import is_address
 
     live = is_address(source)
-    parameters = tracker_parameters(
-        tracker.tracker,
-        order=tracker.order,
-        start=tracker.start,
-        beam_width=tracker.beam_width,
-        echo_offset=tracker.echo_offset,
-    )
+    chosen: dict[str, Any]
+    if is_factory(own := tracker.tracker):
+        if tracker != Tracker(tracker=own):
+            raise ConfigurationError(
+                f"--tracker {own}: a tracker of your own is made without arguments; leave out the "
+                "other options of trackers"
+            )
+        chosen = {"tracker": own}
+    else:
+        parameters = tracker_parameters(
+            tracker.tracker,
+            order=tracker.order,
+            start=tracker.start,
+            beam_width=tracker.beam_width,
+            echo_offset=tracker.echo_offset,
+        )
+        chosen = {"parameters": parameters}
 
     def open_page(title: str) -> "Pages | None":
         """Open the page if it is wanted, once it is known that there is something to show."""
@@ -94,16 +104,16 @@ def track_command(
                     f"{option}: not possible with live volumes; record them (sonoservo bridge), "
                     f"and track the recording with {option}"
                 )
-        _track_stream(source, tracker, parameters, reading, sending, limits, results, open_page)
+        _track_stream(source, tracker, chosen, reading, sending, limits, results, open_page)
     else:
-        _track_file(Path(source), tracker, parameters, reading, results, open_page, explain=explain,
+        _track_file(Path(source), tracker, chosen, reading, results, open_page, explain=explain,
                     real_time=real_time, log=log)  # fmt: skip
 
 
 def _track_stream(
     address: str,
     tracker: Tracker,
-    parameters: "TrackerParameters",
+    chosen: dict[str, Any],
     reading: ReadingFrames,
     sending: Sending,
     limits: LiveLimits,
@@ -131,7 +141,7 @@ def _track_stream(
         pages = open_page(address)
         summary = track_live(
             live,
-            parameters=parameters,
+            **chosen,
             seed=tracker.seed,
             outlets=outlets,
             names=names,
@@ -155,7 +165,7 @@ def _track_stream(
 def _track_file(
     path: Path,
     tracker: Tracker,
-    parameters: "TrackerParameters",
+    chosen: dict[str, Any],
     reading: ReadingFrames,
     results: Results,
     open_page: "Callable[[str], Pages | None]",
@@ -184,7 +194,7 @@ def _track_file(
 
         result = track_recording(
             recording,
-            parameters=parameters,
+            **chosen,
             seed=tracker.seed,
             real_time=real_time,
             console=pages.console if pages else None,
@@ -196,7 +206,7 @@ def _track_file(
         )
     viewed.end(result.log)
     console.print(mode_table(result.summary))
-    for line in reasons_lines(result.summary):
+    for line in (result.found, *reasons_lines(result.summary)):
         say(line)
     say_report(folder)
     write_printed(results.json_path, result.summary)

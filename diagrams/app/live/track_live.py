@@ -13,6 +13,7 @@ import numpy as np
 
 from sonoservo.diagrams.app.interruption import is_interrupted
 from sonoservo.diagrams.app.options import LiveLimits
+from sonoservo.diagrams.app.own_tracker import OwnTracker
 from sonoservo.diagrams.app.volumes.calibrate import pose_error_figures
 from sonoservo.diagrams.app.volumes.estimates_table import EstimatesTable, ModeCount, estimate_row
 from sonoservo.diagrams.app.volumes.track import make_bench
@@ -64,6 +65,7 @@ def track_live(
     source: LiveSource,
     *,
     parameters: TrackerParameters | None = None,
+    tracker: OwnTracker | None = None,
     seed: int | None = None,
     outlets: Sequence[Link] = (),
     names: NeedleNames | None = None,
@@ -113,7 +115,7 @@ def track_live(
             if first is not None:
                 said = source.newest.acquisition if source.newest else None
                 settings = said.settings if said else {}
-                bench = make_bench(settings, parameters, seed, correct_poses, logged=False)
+                bench = make_bench(settings, parameters, seed, correct_poses, tracker, logged=False)
                 ended = bench.run(chain([first], samples), sinks)
         except KeyboardInterrupt:
             ended = False

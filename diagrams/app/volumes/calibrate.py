@@ -6,10 +6,13 @@ from typing import Any
 import numpy as np
 
 from sonoservo.diagrams.app.volumes.opening import ReconstructedRecording
-from sonoservo.systems.calibration.pose_errors import PoseCalibration, PoseErrors
+from sonoservo.systems.calibration.pose_errors import PoseErrors
+from sonoservo.systems.calibration.recorded_errors import RecordedCalibration, are_told
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.recording.recording import Recording
 from sonoservo.systems.signals.immutable import NotFound
+
+_UNITS = np.array([*4 * [1e3], *3 * [np.rad2deg(1.0)]])  # ms, mm and deg in s, m and rad
 
 
 def calibrate_recording(
@@ -18,7 +21,7 @@ def calibrate_recording(
     """Estimate delay and hand-eye error of a recording's poses, from tissue that stands still."""
     if not recording.posed:
         raise ConfigurationError(f"{recording.path}: the volumes have no poses to be calibrated")
-    calibration = PoseCalibration()
+    calibration = RecordedCalibration()
     for number in range(len(recording)):
         calibration = calibration.seen(recording[number])
         if after_volume is not None:
@@ -27,18 +30,25 @@ def calibrate_recording(
 
 
 def pose_error_figures(errors: PoseErrors | NotFound) -> dict[str, Any]:
-    """Return the errors of poses, and their standard deviations, in ms, mm and deg."""
+    """Return the errors of poses, and their standard deviations, in ms, mm and deg.
+
+    Both are None where the volumes do not tell them (`are_told`).
+    """
     if isinstance(errors, NotFound):
         return {"found": False, "reason": errors.reason}
-    std = errors.std
+    found = np.array([errors.delay, *errors.translation, *errors.rotation])
+    (delay, *rest), (delay_std, *rest_std) = (
+        [value if told else None for value, told in zip(each, are_told(errors), strict=True)]
+        for each in (_UNITS * found, _UNITS * errors.std)
+    )
     return {
         "found": True,
-        "delay_ms": 1e3 * errors.delay,
-        "delay_std_ms": 1e3 * float(std[0]),
-        "translation_mm": (1e3 * errors.translation).tolist(),
-        "translation_std_mm": (1e3 * std[1:4]).tolist(),
-        "rotation_deg": np.rad2deg(errors.rotation).tolist(),
-        "rotation_std_deg": np.rad2deg(std[4:]).tolist(),
+        "delay_ms": delay,
+        "delay_std_ms": delay_std,
+        "translation_mm": rest[:3],
+        "translation_std_mm": rest_std[:3],
+        "rotation_deg": rest[3:],
+        "rotation_std_deg": rest_std[3:],
         "pairs": errors.pairs,
         "blocks": errors.blocks,
     }

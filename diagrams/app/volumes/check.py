@@ -18,7 +18,7 @@ from sonoservo.diagrams.app.volumes.opening import (
     open_volumes,
     with_frames,
 )
-from sonoservo.systems.calibration.pose_errors import PoseCalibration
+from sonoservo.systems.calibration.recorded_errors import RecordedCalibration
 from sonoservo.systems.evaluation.reports.scan_sheet import orientation_sheet
 from sonoservo.systems.evaluation.source_checks import (
     Check,
@@ -214,14 +214,17 @@ def _check_recording(checked: CheckedSource, recording: Recording, depth: str) -
     checked.findings += _check_header(file, recording.times, "volumes")
     posed = "the volumes have poses" if recording.posed else "no poses: the probe counts as at rest"
     checked.note(Check.CHAIN, posed)
-    recording[len(recording) - 1]  # a file that was cut short ends here
-    middle = len(recording) // 2
-    volume = recording[middle]
-    checked.show(volume, (recording.X_WL(middle).inverse() @ volume.X_WP).rotation())
-    if recording.posed and len(recording) > 1:
-        calibration = PoseCalibration()
-        for number in range(min(len(recording), _CALIBRATED)):
-            calibration = calibration.seen(recording[number])
+    calibrates = recording.posed and len(recording) > 1
+    calibrated = range(min(len(recording), _CALIBRATED) if calibrates else 0)
+    middle, calibration = len(recording) // 2, RecordedCalibration()
+    # A file that was cut short ends at its last volume.
+    for number in sorted({*calibrated, middle, len(recording) - 1}):
+        volume = recording[number]
+        if number == middle:
+            checked.show(volume, (recording.X_WL(middle).inverse() @ volume.X_WP).rotation())
+        if number in calibrated:
+            calibration = calibration.seen(volume)
+    if calibrates:
         checked.findings += check_errors(calibration.errors)
 
 
@@ -364,7 +367,7 @@ def _check_images(checked: CheckedSource, record: _StreamRecord, maker: VolumeMa
             text, advice = "no image", "let the scanner's program send IMAGE messages"
         checked.note(Check.CONTENT, text, Grade.DOUBTFUL, advice)
         return
-    volumes, calibration = [], PoseCalibration()
+    volumes, calibration = [], RecordedCalibration()
     for posed in record.images:
         volume = maker(posed)
         if isinstance(volume, Volume):

@@ -12,13 +12,14 @@ from matplotlib.figure import Figure
 from pydrake.math import RigidTransform
 
 from sonoservo.diagrams.app.options import refusing_values
+from sonoservo.diagrams.app.own_tracker import OwnTracker, as_system
 from sonoservo.diagrams.app.pages.pacer import Pacer
 from sonoservo.diagrams.app.run_result import RunResult, table_text
 from sonoservo.diagrams.app.terminal import mode_table
 from sonoservo.diagrams.app.volumes.calibrate import pose_error_figures
 from sonoservo.diagrams.app.volumes.estimates_table import ModeCount, estimate_row, estimates_csv
 from sonoservo.diagrams.app.volumes.opening import Opened
-from sonoservo.diagrams.needle_tracker import MakeNeedleTracker
+from sonoservo.diagrams.needle_tracker import MakeNeedleTracker, require_tracker
 from sonoservo.diagrams.tracker_bench import Sample, Sink, Tracked, TrackerBench
 from sonoservo.diagrams.trackers.registry import TRACKERS
 from sonoservo.diagrams.trackers.tracker_parts import STARTS, TrackerParameters
@@ -45,7 +46,7 @@ from sonoservo.systems.files.typed_yaml import suggest
 from sonoservo.systems.files.writing import Unwritten, claim_folder, write_atomically, write_json
 from sonoservo.systems.recording.side_files import TRUTH, Truth, read_truth, side_path
 from sonoservo.systems.signals.needle import Needle
-from sonoservo.systems.signals.needle_estimate import NeedleEstimate
+from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
 from sonoservo.systems.signals.search_reason import Reader
 from sonoservo.systems.signals.volume import Volume
 
@@ -75,6 +76,19 @@ class TrackedRecording(RunResult):
             raise ValueError("no volume was tracked, so there is nothing to plot")
         return self.plots["tip.png"][1]
 
+    @property
+    def found(self) -> str:
+        """When a needle was found, for how long it was tracked and where its tip was last."""
+        tracked = [row for row in self.rows if row["mode"] == TrackingMode.TRACKING]
+        if not tracked:
+            return "No needle was found."
+        first, last = tracked[0], tracked[-1]
+        tip = ", ".join(f"{last[f'tip_{axis}_mm']:.1f}" for axis in "lps")
+        return (
+            f"A needle was found at {first['time_s']:.2f} s and tracked in {len(tracked)} of "
+            f"{len(self.rows)} volumes; its tip was last at ({tip}) mm in LPS."
+        )
+
     def __str__(self) -> str:
         return table_text(mode_table(self.summary))
 
@@ -95,7 +109,10 @@ def tracker_parameters(
     """
     trackers = {each.kind: each for each in TRACKERS}
     if tracker not in trackers:
-        raise ConfigurationError(f"unknown tracker {tracker!r}; {suggest(tracker, trackers)}")
+        raise ConfigurationError(
+            f"unknown tracker {tracker!r}; {suggest(tracker, trackers)}; module:factory names one "
+            "of your own"
+        )
     if start not in STARTS:
         raise ConfigurationError(f"start: {start!r}; {suggest(start, STARTS)}")
     with refusing_values():
@@ -108,20 +125,28 @@ def make_bench(
     parameters: TrackerParameters | None,
     seed: int | None,
     correct_poses: bool,
+    own: OwnTracker | None = None,
     **options: Any,
 ) -> TrackerBench:
     """Return the bench of a tracker; its seed is by default the recorder's, or else 0."""
+    if own is not None:
+        if correct_poses:
+            raise ConfigurationError("correct_poses: not possible with a tracker of your own")
+        tracker = require_tracker(as_system(own, period=1.0))
+        assert tracker is not None
+        return TrackerBench(tracker, **options)
     seed = int(settings.get("tracker_seed", 0)) if seed is None else seed
-    tracker = MakeNeedleTracker(
+    made = MakeNeedleTracker(
         parameters=parameters, period=1.0, seed=seed, correct_poses=correct_poses
     )
-    return TrackerBench(tracker, **options)
+    return TrackerBench(made, **options)
 
 
 def track_recording(
     recording: Opened,
     *,
     parameters: TrackerParameters | None = None,
+    tracker: OwnTracker | None = None,
     seed: int | None = None,
     real_time: bool = False,
     console: "Console | None" = None,
@@ -142,6 +167,8 @@ def track_recording(
         Recording to track in.
     parameters
         Parameters of the tracker, whose class selects it.
+    tracker
+        Tracker of your own in its place; see `run`.
     seed
         Seed of every random choice; by default the recorder's, or else 0.
     real_time
@@ -203,6 +230,7 @@ def track_recording(
             parameters,
             seed,
             correct_poses,
+            tracker,
             geometry=motion.geometry if motion else None,
             explain=out if explain else None,
         )

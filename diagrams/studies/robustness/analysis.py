@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import takewhile
 from typing import Any
 
 import numpy as np
@@ -83,25 +84,44 @@ def chased(record: Record) -> bool:
 
 @dataclass(frozen=True)
 class Threshold:
-    """Strength of a dial at which success falls under 95 %, in the dial's own unit."""
+    """Strengths of a dial between which success falls under 95 %, in the dial's own unit.
 
-    value: float | None  # first strength studied with less than 95 %, if any
-    before: float | None  # last strength studied before it, or of all
-    plain: bool = True  # whether 95 % of the runs succeed with every dial off
+    A strength counts as kept or failed if the 95 % interval of its share lies on that side.
+    """
+
+    kept: float | None = None  # last of the first strengths that are all kept, if any
+    failed: float | None = None  # first of the last strengths that all fail, if any
+    decided: bool = True  # whether every strength studied is one of these
+    plain: bool = True  # False if runs fail with every dial off
 
     def __str__(self) -> str:
         if not self.plain:
             return "no threshold"
-        if self.value is None:
-            return "not studied" if self.before is None else f"beyond {self.before:.3g}"
-        return "below the first strength" if self.before is None else f"{self.value:.3g}"
+        kept, failed = (None if x is None else f"{x:.3g}" for x in (self.kept, self.failed))
+        if self.decided:
+            if failed is None:
+                return "not studied" if kept is None else f"beyond {kept}"
+            return "below the first strength" if kept is None else failed
+        if failed is None:
+            return "undecided" if kept is None else f"undecided, beyond {kept}"
+        return f"undecided, up to {failed}" if kept is None else f"undecided, {kept} to {failed}"
 
 
 def threshold(points: Sequence[tuple[float, Value]]) -> Threshold:
-    """Return the threshold of a dial."""
-    before = None
-    for value, share in points:
-        if share.true is not None and share.true < 100 * KEPT:
-            return Threshold(value, before)
-        before = value
-    return Threshold(None, before)
+    """Return the threshold of a dial from the shares in % by strength, the weakest first."""
+    kept = [*takewhile(lambda each: _keeps(each[1]), points)]
+    failed = [*takewhile(lambda each: fails(each[1]), reversed(points))]
+    return Threshold(
+        kept[-1][0] if kept else None,
+        failed[-1][0] if failed else None,
+        decided=len(kept) + len(failed) == len(points),
+    )
+
+
+def _keeps(share: Value) -> bool:
+    return share.low is not None and share.low >= 100 * KEPT
+
+
+def fails(share: Value) -> bool:
+    """Return True if the whole interval of a share in % lies under 95 %."""
+    return share.high is not None and share.high < 100 * KEPT

@@ -5,7 +5,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from sonoservo.diagrams.studies.robustness.analysis import Group, Threshold, chased, threshold
+from sonoservo.diagrams.studies.robustness.analysis import (
+    Group,
+    Threshold,
+    chased,
+    fails,
+    threshold,
+)
 from sonoservo.diagrams.studies.robustness.plots import study_figures
 from sonoservo.diagrams.studies.robustness.runs import GRADED, OURS, PUBLISHED, TRACKERS
 from sonoservo.diagrams.studies.run_group import Value
@@ -133,9 +139,8 @@ def dial_thresholds(curves: Mapping[str, Curve]) -> dict[str, dict[str, Threshol
         return group.share(lambda run: run.success)
 
     def found(name: str, kind: str) -> Threshold:
-        plain = [(0.0, success(groups[kind])) for _, groups in curves.get("plain", [])]
-        if threshold(plain).value is not None:
-            return Threshold(None, None, plain=False)
+        if any(fails(success(groups[kind])) for _, groups in curves.get("plain", [])):
+            return Threshold(plain=False)
         return threshold(
             [
                 (GRADED[name].quantity(strength), success(groups[kind]))
@@ -152,7 +157,9 @@ def _threshold_words(name: str, threshold: Threshold) -> str:
     """Return a threshold in words; a switch has no strength."""
     if GRADED[name].unit or not threshold.plain:
         return str(threshold)
-    return "on" if threshold.value is not None else "not reached"
+    if not threshold.decided:
+        return "undecided"
+    return "on" if threshold.failed is not None else "not reached"
 
 
 def _is_shared(outcome: Outcome) -> bool:
@@ -197,7 +204,7 @@ def _moves(group: Group) -> bool:
 
 
 def _threshold_rows(thresholds: Mapping[str, Mapping[str, Threshold]]) -> list[StudyRow]:
-    """Return the thresholds as rows; beyond the last strength, they have an open interval."""
+    """Return the thresholds as rows; where nothing is known to fail, the interval is open."""
     rows = []
     for name, trackers in thresholds.items():
         figures = {kind: _limits(each) for kind, each in trackers.items()}
@@ -206,18 +213,18 @@ def _threshold_rows(thresholds: Mapping[str, Mapping[str, Threshold]]) -> list[S
 
 
 def _limits(found: Threshold) -> Value:
-    """Return a threshold with the strength studied before it, and itself or infinity."""
-    beyond = found.value is None and found.before is not None
-    high = float("inf") if beyond else found.value
-    return Value(found.value, low=found.before, high=high)
+    """Return a threshold, if it is decided, and the strengths between which it lies."""
+    beyond = found.failed is None and found.kept is not None
+    high = float("inf") if beyond else found.failed
+    return Value(found.failed if found.decided else None, low=found.kept, high=high)
 
 
 def _threshold_note(thresholds: Mapping[str, Mapping[str, Threshold]]) -> str:
     """Return all thresholds as a paragraph."""
-    lines = [
-        f"{name} ({GRADED[name].unit or 'a switch'}) {', '.join(map(str, trackers.values()))}"
-        for name, trackers in thresholds.items()
-    ]
+    lines = []
+    for name, trackers in thresholds.items():
+        words = ", ".join(_threshold_words(name, each) for each in trackers.values())
+        lines.append(f"{name} ({GRADED[name].unit or 'a switch'}): {words}")
     return f"Thresholds of {', '.join(TRACKERS)}: {'; '.join(lines)}."
 
 

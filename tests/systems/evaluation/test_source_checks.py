@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from pydrake.math import RigidTransform
@@ -98,7 +100,6 @@ def test_matrices_that_are_none(name, change, text):
 @pytest.mark.parametrize(
     ("change", "text"),
     [
-        (lambda m: m[:1].repeat(50, axis=0), "never moves in 50 poses"),
         (
             lambda m: np.where(np.arange(50)[:, None, None] == 20, m + 300 * np.eye(4, k=3), m),
             "jumps",
@@ -110,6 +111,12 @@ def test_poses_that_do_not_move_as_a_probe(change, text):
     check, found = worst(check_motion("P", change(moving()), 0.05 * np.arange(50)))
     assert check is Check.MOTION
     assert text in found
+
+
+def test_a_probe_that_is_held_needs_nothing_and_it_is_told_what_that_leaves_open():
+    findings = check_motion("P", moving()[:1].repeat(50, axis=0), 0.05 * np.arange(50))
+    assert worst(findings) is None
+    assert "calibration cannot be judged" in findings[0].text
 
 
 def test_speckle_tells_right_spacing_unit_and_direction():
@@ -128,9 +135,18 @@ def test_blank_and_hollow_volumes_are_told():
     volume = speckle(np.array([6e-4, 3e-4, 7e-4]), [1.6e-3, 0.6e-3, 2.2e-3])
     blank = Volume(0 * volume.intensities, np.zeros(3), volume.spacing, volume.X_WP, 0.0)
     assert "shows nothing" in worst(check_volume(blank))[1]
+    unknown = replace(volume, mask=np.zeros(volume.intensities.shape, bool))
+    assert "is NaN, infinite or stands for" in worst(check_volume(unknown))[1]
     hollow = volume.intensities * (RNG.random(volume.intensities.shape) < 0.4)
     hollow = Volume(hollow, np.zeros(3), volume.spacing, volume.X_WP, 0.0)
     assert "of what was seen is black" in worst(check_volume(hollow))[1]
+
+
+def test_amplitudes_that_are_not_log_compressed_are_told():
+    volume = speckle(np.array([6e-4, 3e-4, 7e-4]), [1.6e-3, 0.6e-3, 2.2e-3])
+    amplitude = 10 ** (volume.intensities.astype(np.float32) * 60 / 255 / 20)
+    linear = replace(volume, intensities=np.float32(255 / amplitude.max()) * amplitude)
+    assert "its numbers are amplitudes" in worst(check_volume(linear))[1]
 
 
 @pytest.mark.parametrize(("delay", "std", "needed"), [(0.06, 0.005, True), (0.06, 0.05, False)])

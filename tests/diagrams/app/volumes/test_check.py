@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from live_items import make_volume, wait_until
 from pydrake.math import RigidTransform
+from recordings import write_sequence_nrrd
 from still_tissue import LyingProbe
 from tracked_frames import freehand, write_plus_file
 
@@ -16,7 +17,7 @@ from sonoservo.diagrams.app.volumes.check import check_file, check_stream
 from sonoservo.systems.evaluation.source_checks import Check, Grade
 from sonoservo.systems.live import Link, parse_address
 from sonoservo.systems.live.connection.items import ImageItem, PoseItem
-from sonoservo.systems.recording import write_volume
+from sonoservo.systems.recording import Recording, write_volume
 
 
 def found(checked, check):
@@ -33,6 +34,27 @@ def test_late_poses_are_told_with_their_interval(tmp_path):
     assert low < 80 < high
     assert high - low < 40
     assert "--correct-poses" in finding.advice
+
+
+def test_a_recording_of_a_probe_held_still_needs_nothing_and_each_volume_is_read_once(
+    tmp_path, monkeypatch
+):
+    held = LyingProbe(path=lambda _: RigidTransform()).record(tmp_path / "a.seq.nrrd", 8)
+    numbers, read = [], Recording.__getitem__
+    monkeypatch.setattr(
+        Recording, "__getitem__", lambda self, k: numbers.append(k) or read(self, k)
+    )
+    wrong = [each for each in check_file(held.path).findings if each.grade]
+    assert {each.check for each in wrong} <= {Check.SPACING}  # its voxels of 1 mm
+    assert numbers == list(range(8))
+
+
+@pytest.mark.parametrize("count", [3, 20])
+def test_volumes_of_nan_are_told(tmp_path, count):
+    nothing = count * [np.full((20, 30, 20), np.nan, np.float32)]
+    found = check_file(write_sequence_nrrd(tmp_path / "a.seq.nrrd", nothing)).gravest
+    assert found.grade is Grade.WRONG
+    assert "stand" in found.text
 
 
 def test_frames_are_told_by_their_kind_chain_and_sweeps(tmp_path, capsys):

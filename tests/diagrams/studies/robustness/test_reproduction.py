@@ -99,18 +99,22 @@ def test_doubt_is_judged_where_it_is_stated_from_the_detection_on():
 
 
 @pytest.mark.parametrize(
-    ("shares", "words", "value", "before"),
+    ("intervals", "words"),
     [
-        ([100, 100, 90], "4", 4.0, 2.0),
-        ([100, 94, 100], "2", 2.0, 1.0),
-        ([100, 95, 96], "beyond 4", None, 4.0),
-        ([50, 100, 100], "below the first strength", 1.0, None),
-        ([None, None, None], "beyond 4", None, 4.0),
+        ([(96, 100), (95, 99), (60, 90)], "4"),
+        ([(96, 100), (90, 99), (60, 90)], "undecided, 1 to 4"),
+        ([(21, 100), (21, 100), (0, 79)], "undecided, up to 4"),
+        ([(0, 79), (21, 100), (21, 100)], "undecided"),  # a stronger dial does better
+        ([(96, 100), (0, 79), (96, 100)], "undecided, beyond 1"),
+        ([(96, 100)] * 3, "beyond 4"),
+        ([(0, 79)] * 3, "below the first strength"),
+        ([(None, None)] * 3, "undecided"),
+        ([], "not studied"),
     ],
 )
-def test_thresholds(shares, words, value, before):
-    found = threshold([(2.0**k, run_group.Value(share)) for k, share in enumerate(shares)])
-    assert (str(found), found.value, found.before) == (words, value, before)
+def test_thresholds(intervals, words):
+    shares = [run_group.Value(50, low=low, high=high) for low, high in intervals]
+    assert str(threshold([(2.0**k, share) for k, share in enumerate(shares)])) == words
 
 
 @pytest.mark.parametrize("name", GRADED)
@@ -215,7 +219,7 @@ def test_scenes_that_only_ours_saw_count_in_its_rows_but_not_in_thresholds():
         for seed in (101, 102, 103)
     ]
     study = report([*shared, *alone])
-    assert study.thresholds[0][OURS] == "beyond 2"
+    assert study.thresholds[0][OURS] == "undecided"
     row = next(
         each
         for each in study.rows
@@ -227,10 +231,11 @@ def test_scenes_that_only_ours_saw_count_in_its_rows_but_not_in_thresholds():
 def test_the_report_gives_thresholds_and_they_become_a_table():
     study = report(outcomes({1.0: (1, 1, 9), 2.0: (1, 3, 9), 4.0: (1, 9, 9)}))
     (row,) = study.thresholds
-    assert [row[kind] for kind in TRACKERS] == ["beyond 4", "2", "below the first strength"]
+    words = ["undecided", "undecided, up to 2", "below the first strength"]
+    assert [row[kind] for kind in TRACKERS] == words
     data = study.as_json("sonoservo reproduce robustness")
     text = results.results_table(data, "thresholds")
-    assert "| drag | mm | 1 | beyond 4 | 2 | below the first strength |" in text
+    assert f"| drag | mm | 1 | {' | '.join(words)} |" in text
     rows = {(each["experiment"], each["quantity"]): each for each in data["rows"]}
     success = rows["open loop, drag 2 mm", "success"]
     assert (success["true"], success["published_true"]) == (100, 0)
@@ -238,10 +243,10 @@ def test_the_report_gives_thresholds_and_they_become_a_table():
     assert rows["open loop, drag 4 mm", "success, zhao2012"]["true"] == 0
     limits = [each for each in data["rows"] if each["experiment"].startswith("success falls")]
     ours, zhao = limits
-    assert (ours["true"], ours["low"]) == (None, 4)  # beyond
-    assert (ours["published_true"], ours["published_low"]) == (2, 1)
+    assert (ours["true"], ours["low"], ours["high"]) == (None, None, None)
+    assert (ours["published_true"], ours["published_high"]) == (None, 2)
     assert (zhao["true"], zhao["low"]) == (1, None)
-    assert "drag (mm) beyond 4, 2, below the first strength" in data["notes"][0]
+    assert f"drag (mm): {', '.join(words)}" in data["notes"][0]
 
 
 @pytest.mark.slow

@@ -1,0 +1,75 @@
+"""Trackers of a user's own, as the benchmark takes them, in the place of the built-in ones."""
+
+import re
+from collections.abc import Callable
+from typing import TypeAlias
+
+from pydrake.common.value import Value
+from pydrake.systems.framework import Context, EventStatus, LeafSystem, State, System
+
+from sonoservo.diagrams.benchmark.entrants import Step, checked, resolve_entrant, start_tracker
+from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
+from sonoservo.systems.signals.volume import Volume
+
+OwnTracker: TypeAlias = System | Callable[[Volume], NeedleEstimate] | str
+"""A system, a function from the next volume to the estimate after it, or ``module:factory`` of
+either."""
+
+
+def is_factory(text: str) -> bool:
+    """Return True for ``module:factory``; other texts name a built-in tracker."""
+    return re.fullmatch(r"[\w.]+:\w+", text) is not None
+
+
+def as_system(tracker: OwnTracker, *, period: float, offset: float = 0.0) -> System:
+    """Return a tracker as a system that looks for a volume at such times, in s.
+
+    A system has its own times and is returned as it is, and so is what is no tracker.
+    """
+    if isinstance(tracker, str):
+        name, step = tracker, start_tracker(resolve_entrant(tracker, {}), seed=0)
+        module, _, function = tracker.partition(":")
+    elif isinstance(tracker, System | type) or not callable(tracker):
+        return tracker
+    else:
+        step, function = tracker, getattr(tracker, "__qualname__", type(tracker).__qualname__)
+        module = tracker.__module__
+        name = f"{module}.{function}"
+    # A run names the class of the tracker that it had.
+    kind = type(function, (_FunctionTracker,), {"__module__": module})
+    made: System = kind(step, name, period, offset)
+    return made
+
+
+class _FunctionTracker(LeafSystem):
+    """Gives each new volume at its input to a function, once, and outputs the estimate.
+
+    .. pydrake_system::
+
+        name: FunctionTracker
+        input_ports:
+        - volume
+        output_ports:
+        - estimate
+    """
+
+    def __init__(self, step: Step, name: str, period: float, offset: float) -> None:
+        super().__init__()
+        self._step, self._name = step, name
+        self.DeclareAbstractInputPort("volume", Value[object]())
+        searching = NeedleEstimate(TrackingMode.SEARCHING, time=0.0)
+        self._newest = self.DeclareAbstractState(Value[object](None))
+        self._estimate = self.DeclareAbstractState(Value[object](searching))
+        self.DeclareStateOutputPort("estimate", self._estimate)
+        self.DeclarePeriodicUnrestrictedUpdateEvent(period, offset, self._update)
+        self.DeclareForcedUnrestrictedUpdateEvent(self._update)
+
+    def _update(self, context: Context, state: State) -> EventStatus:
+        volume = self.GetInputPort("volume").Eval(context)
+        newest = context.get_abstract_state(self._newest).get_value()
+        if not isinstance(volume, Volume) or volume is newest:
+            return EventStatus.DidNothing()
+        estimate = checked(self._step, volume, self._name)
+        state.get_mutable_abstract_state(self._newest).set_value(volume)
+        state.get_mutable_abstract_state(self._estimate).set_value(estimate)
+        return EventStatus.Succeeded()

@@ -1,0 +1,84 @@
+"""A tracker of one's own in `run` and `track`, in the forms that the benchmark takes."""
+
+import json
+
+import numpy as np
+import pytest
+
+from sonoservo.diagrams import run, track_recording
+from sonoservo.diagrams.app.cli import run_arguments
+from sonoservo.systems.files.refusals import ConfigurationError
+from sonoservo.systems.recording import Recording
+
+SHORT = ["duration=0.9", "imaging.frames=7", "imaging.volume_rate=8", "hand.start=0.2"]
+MINE = """
+import numpy as np
+from sonoservo.systems.signals import NeedleCurve, NeedleEstimate, TrackingMode
+
+def make():
+    seen = []
+    def track(volume):
+        seen.append(volume)
+        ends = volume.X_WP.multiply(np.array([[0.0, 0.03, 0.0], [0.001 * len(seen), 0.04, 0.0]]).T)
+        return NeedleEstimate(
+            TrackingMode.TRACKING, volume.time, curve=NeedleCurve(ends.T),
+            velocity=np.zeros((2, 3)), covariance=1e-6 * np.eye(12), volume_time=volume.time,
+        )
+    return track
+
+def wrong():
+    return lambda volume: 5
+"""
+
+
+@pytest.fixture
+def mine(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "own_tracker_of_a_test.py").write_text(MINE)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    import own_tracker_of_a_test
+
+    return own_tracker_of_a_test
+
+
+def test_a_function_runs_and_tracks_alike_whether_given_itself_or_by_its_factory(
+    mine, tmp_path, capsys
+):
+    path = tmp_path / "a.seq.nrrd"
+    result = run("chatelain2013_fig5", changes=SHORT, tracker=mine.make(), record=path)
+    tips = result.log.volume_estimate_tip
+    assert len(tips) == len(Recording(path)) > 3
+    assert np.isfinite(tips).all()
+    again = track_recording(Recording(path), tracker=mine.make())
+    np.testing.assert_array_equal([each.curve.tip for each in again.estimates], tips)
+    factory = "own_tracker_of_a_test:make"
+    command = ["track", str(path), "--tracker", factory, "--json", "t.json", "--out", "t"]
+    assert run_arguments(command) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    found = (
+        f"A needle was found at {again.times[0]:.2f} s and tracked in {len(tips)} of {len(tips)}"
+    )
+    assert f"{found} volumes; its tip was last at (" in said
+    assert run_arguments(["track", str(path), "--out", "none"]) == 0
+    assert "No needle was found. Volumes without a needle:" in " ".join(
+        capsys.readouterr().out.split()
+    )
+    assert json.loads((tmp_path / "t.json").read_text())["modes"] == {"tracking": len(tips)}
+    changes = [each for change in (*SHORT, f"tracker={factory}") for each in ("--set", change)]
+    command = ["run", "chatelain2013_fig5", *changes, "--no-meshcat", "--json", "r.json"]
+    assert run_arguments([*command, "--out", "r"]) in (0, 3)
+    told = json.loads((tmp_path / "r.json").read_text())
+    assert told["tracking"] == result.summary["tracking"]
+
+
+def test_what_is_no_tracker_is_refused(mine, capsys):
+    with pytest.raises(ConfigurationError, match="expected a NeedleEstimate"):
+        run("chatelain2013_fig5", changes=SHORT, tracker="own_tracker_of_a_test:wrong")
+    with pytest.raises(ConfigurationError, match="tracker: a value of type int"):
+        run("chatelain2013_fig5", changes=SHORT, tracker=5)
+    with pytest.raises(ConfigurationError, match="tracker: not possible in the experiment"):
+        run("carriere2016_d60", tracker=mine.make())
+    assert run_arguments(["track", "a.nrrd", "--tracker", "mine:make", "--seed", "1"]) == 2
+    assert "made without arguments" in capsys.readouterr().err
+    assert run_arguments(["track", "a.nrrd", "--tracker", "mine"]) == 2
+    assert "module:factory names one of your own" in capsys.readouterr().err
