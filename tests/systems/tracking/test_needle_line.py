@@ -145,11 +145,11 @@ def is_along(line, ends):
 @pytest.mark.parametrize(
     ("ends", "least", "most"),
     [
-        (NEEDLE[::-1], 1.0, 1.0),
+        (NEEDLE[::-1], 8.0, 10.0),
         (turned(20) + np.array([0.02, 0.0, 0.01]), -1.1, 1.0),
         (turned(87), -np.inf, -1.0),
         (NEEDLE + np.array([0.0, 0.03, 0.05]), -np.inf, -1.0),
-        (NEEDLE[1] + np.outer([-0.0043, 0.0], K), -np.inf, -1.0),
+        (NEEDLE[1] + np.outer([-0.0043, 0.0], K), -np.inf, 8.0),
     ],
     ids=["in its place", "moved with the phantom", "turned", "elsewhere", "short"],
 )

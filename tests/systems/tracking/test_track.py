@@ -167,12 +167,12 @@ def test_a_line_found_aside_stays_the_needle_by_its_looks_alone():
             track, time, **NOTHING | {"measurement": measurement(time=time, y=y), "lines": resting}
         )
 
-    again = seen(lost, 1.0, 3.0)
+    again = seen(lost, 1.0, 2.5)
     found = again.probability
     assert again.mode == TrackingMode.TRACKING
     assert 0.6 < found < life.parameters.act
     for time in (1.3, 1.6, 1.9, 2.2):  # seeing the same once more is no evidence
-        again = seen(again, time, 3.0)
+        again = seen(again, time, 2.5)
     assert (again.mode, again.probability) == (TrackingMode.TRACKING, pytest.approx(found))
     refuted = seen(again, 2.5, 0.0)
     assert (refuted.mode, refuted.since) == (TrackingMode.LOST, lost.since)
