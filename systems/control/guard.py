@@ -124,7 +124,8 @@ class Guard(LeafSystem):
         self._regions = [region(parameters, surface, axis, alone=alone) for alone in (False, True)]
         n = self._joints = plant.num_positions()
         self._torque_weights = np.divide(1.0, np.square(torque_error))
-        self._posture, self._levers = np.full(n, np.nan), (np.zeros(n), 0.0)
+        self._posture: list[float] = []
+        self._levers = np.zeros(n), 0.0
         speed = plant.GetVelocityUpperLimits()
         lowest = np.concatenate([plant.GetPositionLowerLimits(), -speed]) - _TOLERANCE
         highest = np.concatenate([plant.GetPositionUpperLimits(), speed]) + _TOLERANCE
@@ -270,9 +271,9 @@ class Guard(LeafSystem):
 
         They are those of a posture near ``q``, and kept as long as that one is the nearest.
         """
-        posture = np.round(q / _SAME_POSTURE)
-        if (posture != self._posture).any():
-            J = self._jacobian(context, _SAME_POSTURE * posture)[3:]
+        posture = (q / _SAME_POSTURE).round().tolist()
+        if posture != self._posture:
+            J = self._jacobian(context, _SAME_POSTURE * np.array(posture))[3:]
             weighted = J * self._torque_weights
             covariance = np.linalg.pinv(weighted @ J.T)
             self._levers = -(covariance @ weighted)[1], math.sqrt(covariance[1, 1])
