@@ -174,7 +174,7 @@ def test_a_line_found_aside_stays_the_needle_by_its_looks_alone():
     for time in (1.3, 1.6, 1.9, 2.2):  # seeing the same once more is no evidence
         again = seen(again, time, 2.5)
     assert (again.mode, again.probability) == (TrackingMode.TRACKING, pytest.approx(found))
-    refuted = seen(again, 2.5, 0.0)
+    refuted = seen(again, 2.5, -2.0)
     assert (refuted.mode, refuted.since) == (TrackingMode.LOST, lost.since)
     sure = seen(again, 2.5, 6.0)
     assert life.next(sure, 2.8, **NOTHING | {"measurement": measurement(time=2.8, y=0.03)})
