@@ -3,6 +3,7 @@
 The probe lies as at rest at the end of a run: over the tip, along the needle's mean direction.
 """
 
+from argparse import ArgumentParser
 from itertools import pairwise
 
 import numpy as np
@@ -47,4 +48,5 @@ def main():
 
 
 if __name__ == "__main__":
+    ArgumentParser(description=__doc__).parse_args()
     main()

@@ -4,7 +4,7 @@
 """
 
 import os
-import sys
+from argparse import ArgumentParser
 from pathlib import Path
 
 import jupytext
@@ -30,8 +30,18 @@ def execute(script: Path) -> None:
     print(f"written: {script.with_suffix('.ipynb').name}", flush=True)
 
 
-if __name__ == "__main__":
+def main(arguments: list[str] | None = None) -> None:
+    """Run the notebooks that are named, or all."""
+    parser = ArgumentParser(description=__doc__)
+    known = [script.name for script in sorted(HERE.glob("[1-9]*.py"))]
+    parser.add_argument("scripts", nargs="*", help=f"all by default: {', '.join(known)}")
+    named = [Path(name).name for name in parser.parse_args(arguments).scripts]
+    if unknown := [name for name in named if name not in known]:
+        parser.error(f"there is no notebook {unknown[0]}; there are {', '.join(known)}")
     os.environ.setdefault("PYDEVD_DISABLE_FILE_VALIDATION", "1")
-    named = [HERE / Path(name).name for name in sys.argv[1:]]
-    for script in named or sorted(HERE.glob("[1-9]*.py")):
-        execute(script)
+    for name in named or known:
+        execute(HERE / name)
+
+
+if __name__ == "__main__":
+    main()

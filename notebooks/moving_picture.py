@@ -3,7 +3,7 @@
 Needs EGL, which Mesa provides without a graphics processor. Made by `make pictures`.
 """
 
-import sys
+from argparse import ArgumentParser
 from pathlib import Path
 
 import numpy as np
@@ -168,4 +168,6 @@ def main(path=PATH):
 
 
 if __name__ == "__main__":
-    main(*(Path(each) for each in sys.argv[1:2]))
+    parser = ArgumentParser(description=__doc__)
+    parser.add_argument("path", nargs="?", type=Path, default=PATH, help="file to write")
+    main(parser.parse_args().path)

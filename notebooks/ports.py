@@ -1,5 +1,6 @@
 """Picture of the blocks' ports, read from the blocks themselves, by `make pictures`."""
 
+from argparse import ArgumentParser
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -69,4 +70,5 @@ def draw() -> None:
 
 
 if __name__ == "__main__":
+    ArgumentParser(description=__doc__).parse_args()
     draw()

@@ -1,7 +1,7 @@
 """Table of the benchmarks: python tests/benchmarks/table.py out/bench.json."""
 
 import json
-import sys
+from argparse import ArgumentParser
 from pathlib import Path
 
 from rich.console import Console
@@ -28,4 +28,6 @@ def print_table(benchmarks):
 
 
 if __name__ == "__main__":
-    print_table(json.loads(Path(sys.argv[1]).read_text())["benchmarks"])
+    parser = ArgumentParser(description=__doc__)
+    parser.add_argument("path", type=Path, help="figures that pytest-benchmark wrote")
+    print_table(json.loads(parser.parse_args().path.read_text())["benchmarks"])
