@@ -30,8 +30,8 @@ Choice = Callable[[Sequence[Case]], Sequence[Case]]
 def choose_missing(paper: str) -> Choice:
     """Return the choice of those cases of a study of which no records are kept.
 
-    ConfigurationError, then or when it chooses, if other code made those that are kept, or none is
-    missing.
+    ConfigurationError, then or when it chooses, if other code made those that are kept and the
+    present one repeated none of them, or none is missing.
     """
     kept = by_case(require_addable(paper).outcomes)
 

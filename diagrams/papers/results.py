@@ -87,7 +87,7 @@ def keep_records(
 
 
 def require_addable(name: str) -> Records:
-    """Return the records of a study; ConfigurationError unless the present code made them."""
+    """Return the records of a study; ConfigurationError if more of them cannot be added."""
     _require_checkout()
     return _joined(name, (), "")
 
@@ -97,8 +97,7 @@ def _joined(name: str, outcomes: Sequence[Outcome], command: str) -> Records:
     if (kept := kept_records(name)) is None:
         raise ConfigurationError(f"--keep: no records of {name} are kept to which to add")
     runs = by_case([*kept.outcomes, *outcomes])
-    joined = present_records([*runs.values()], f"{kept.command}; {command}")
-    return replace(joined, repeats=kept.repeats)
+    return present_records([*runs.values()], f"{kept.command}; {command}", kept.repeats)
 
 
 def by_case(outcomes: Sequence[Outcome]) -> dict[str, Outcome]:

@@ -49,9 +49,14 @@ def present_code(modules: Iterable[str]) -> dict[str, str]:
     return {each: code_fingerprint(each) for each in modules}
 
 
-def present_records(outcomes: Sequence[Outcome], command: str) -> Records:
-    """Return the records of runs that the present code made, which must be committed."""
-    records = Records(command, kept_commit(), version("sonoservo"), outcomes)
+def present_records(
+    outcomes: Sequence[Outcome], command: str, repeats: Sequence[Mapping[str, Any]] = ()
+) -> Records:
+    """Return the records of runs that the present code, which must be committed, made or repeats.
+
+    ConfigurationError if other code made any, and the present one repeated none.
+    """
+    records = Records(command, kept_commit(), version("sonoservo"), outcomes, repeats)
     if records.is_outdated:
         raise ConfigurationError("--keep: other code than the present one made some of the runs")
     return records

@@ -114,6 +114,8 @@ def test_runs_of_the_same_code_join_those_that_are_kept(study, house, monkeypatc
     monkeypatch.setattr(records, "is_outdated", lambda identity: True)  # the code has changed
     with pytest.raises(ConfigurationError, match="other code than the present one"):
         results.require_addable("chatelain2013")
+    results.keep_repeat("chatelain2013", 1)  # but makes the same
+    assert len(results.require_addable("chatelain2013").outcomes) == 2
 
 
 def test_each_experiment_has_a_line_of_its_main_figures(data):
