@@ -1,6 +1,6 @@
 """Checks of a source of volumes or frames, before anything is tracked in it."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum, IntEnum
 from itertools import pairwise
@@ -45,6 +45,12 @@ _BLOCK, _LEAST_BLOCKS = 8e-3, 5
 """Edge length in m of the blocks whose skewness is measured, and number of them that tells it."""
 
 _CLIPPED = 1e-3  # share of black voxels in a block from which clipping has changed its skewness
+
+_SATURATED = (
+    0.05  # share of what was seen that is as bright as can be, above which gain hides echoes
+)
+_UPSIDE_DOWN = 1 / 3  # share of the depth above which the widest part is too near for a sector
+_HOLES = 0.9  # share of the usual part of the box below which a volume has holes
 
 _OTHER_AXIS = 1.4  # ratio of speckle widths from which the narrower axis is taken for the sound's
 _LATE = 15e-3  # delay of poses in s that shows: a probe at 30 mm/s moves half a millimetre
@@ -149,6 +155,17 @@ class _Fault(Enum):
               "its numbers are amplitudes, it seems: their speckle has a skewness of "
               "{skewness:.2f}, and below {most:.2f} if it is log-compressed",
               "compress them (20 log10), as scanners do for their screens")  # fmt: skip
+    SATURATED = (Check.CONTENT, Grade.DOUBTFUL,
+                 "{share:.0f} % of what was seen is as bright as can be",
+                 "lower the scanner's gain, or widen --window")  # fmt: skip
+    UPSIDE_DOWN = (Check.GRID, Grade.DOUBTFUL,
+                   "the field of view is widest near the probe and narrows with depth, as if the "
+                   "sound ran the other way",
+                   "if the picture stands on its head, give --depth or mend the axes")  # fmt: skip
+    HOLES = (Check.CONTENT, Grade.DOUBTFUL,
+             "{count} of {read} volumes that were read show less of the box than the others, such "
+             "as volume {number}: {share:.0f} % instead of {usual:.0f} %",
+             "look for NaN, for lost slices, and for markers of what was not seen")  # fmt: skip
     HOLLOW = (Check.CONTENT, Grade.DOUBTFUL, "{text}",
               "if it is a reconstruction, sweep more slowly or make its voxels larger; else look "
               "at gain, threshold and window")  # fmt: skip
@@ -282,7 +299,45 @@ def check_volume(volume: Volume) -> list[Finding]:
         return [_Fault.UNKNOWN()]
     if float(volume.intensities.max()) - float(volume.intensities.min()) <= 0:
         return [_Fault.BLANK()]
-    return [_check_empty(volume), *_check_compression(volume), _check_speckle(volume)]
+    return [
+        _check_empty(volume),
+        *_check_saturation(volume),
+        *_check_direction(volume),
+        *_check_compression(volume),
+        _check_speckle(volume),
+    ]
+
+
+def check_seen(shares: Mapping[int, float]) -> list[Finding]:
+    """Check the parts of the box that volumes show, by their numbers: none shows much less."""
+    usual = float(np.median([*shares.values()]))
+    odd = [number for number, share in shares.items() if share < _HOLES * usual]
+    if not odd:
+        return []
+    number = odd[0]
+    return [
+        _Fault.HOLES(
+            count=len(odd),
+            read=len(shares),
+            number=number,
+            share=100 * shares[number],
+            usual=100 * usual,
+        )
+    ]
+
+
+def _check_saturation(volume: Volume) -> list[Finding]:
+    share = float((volume.intensities[volume.seen] >= volume.intensities.max()).mean())
+    return [_Fault.SATURATED(share=100 * share)] if share > _SATURATED else []
+
+
+def _check_direction(volume: Volume) -> list[Finding]:
+    """Check that a sector becomes wider with depth; a box of one width tells nothing."""
+    if isinstance(volume, ReconstructedVolume):
+        return []
+    widths = np.trim_zeros(volume.seen.sum(axis=(0, 2)))
+    widest = np.flatnonzero(widths >= 0.95 * widths.max()).mean() / len(widths)
+    return [_Fault.UPSIDE_DOWN()] if widest < _UPSIDE_DOWN else []
 
 
 def _check_compression(volume: Volume) -> list[Finding]:

@@ -72,6 +72,10 @@ class FileItems:
         count = self.file.count
         if rate is not None:
             require_within("volume rate", rate, *_RATES)
+            if "Timestamp" in self._fields or self.file.times is not None:
+                self.notes.append(
+                    f"the times in the file are set aside for {rate:g} {self.what}s a second"
+                )
             return np.arange(count) / rate
         if "Timestamp" in self._fields:
             return frame_times(count, self._fields["Timestamp"])

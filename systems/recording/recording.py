@@ -19,6 +19,7 @@ from sonoservo.systems.recording.side_files import (
     read_acquisition,
     side_path,
 )
+from sonoservo.systems.sampling.seen_hull import seen_hull
 from sonoservo.systems.signals.immutable import seal
 from sonoservo.systems.signals.requirements import require_within
 from sonoservo.systems.signals.sweep import DECIBELS_PER_LEVEL, DYNAMIC_RANGE_DB
@@ -152,7 +153,7 @@ class Recording(FileItems):
             self.X_WL(number) @ self._grid.X_LP,
             float(self.times[number]),
             decibels_per_level=self._decibels_per_level,
-            mask=None if void is None else ~void,
+            mask=None if void is None else seen_hull(grey) & ~void,
         ).without_cut()
 
     def X_WL(self, number: int) -> RigidTransform:

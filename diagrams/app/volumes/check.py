@@ -28,6 +28,7 @@ from sonoservo.systems.evaluation.source_checks import (
     check_errors,
     check_matrices,
     check_motion,
+    check_seen,
     check_spacing,
     check_times,
     check_volume,
@@ -203,27 +204,39 @@ def _check_recording(checked: CheckedSource, recording: Recording, depth: str) -
     file = recording.file
     size = " x ".join(map(str, file.shape))
     volumes = "1 volume" if file.count == 1 else f"{file.count} volumes"
-    checked.note(Check.KIND, f"{volumes} of {size} voxels")
+    steps = np.linalg.norm(file.directions, axis=0)
+    box = " x ".join(f"{each:.0f}" for each in steps * (np.array(file.shape) - 1))
+    checked.note(Check.KIND, f"{volumes} of {size} voxels, {box} mm")
     if recording.skipped:
         text = f"{recording.skipped} volumes are marked as invalid, or have no pose or time"
         advice = "they are left out; look at the tracker and the clock"
         checked.note(Check.LEFT_OUT, text, Grade.DOUBTFUL, advice)
     axes = ", ".join(_letter(axis) for axis in file.directions.T)
-    checked.note(Check.GRID, f"axes run to {axes} (LPS); the sound is taken to run to {depth}")
-    checked.findings += check_spacing(np.linalg.norm(file.directions, axis=0))
+    hand = (
+        ""
+        if np.linalg.det(file.directions) > 0
+        else ", left-handed: the image is mirrored if they are not meant to be"
+    )
+    checked.note(
+        Check.GRID, f"axes run to {axes} (LPS){hand}; the sound is taken to run to {depth}"
+    )
+    checked.findings += check_spacing(steps)
     checked.findings += _check_header(file, recording.times, "volumes")
     posed = "the volumes have poses" if recording.posed else "no poses: the probe counts as at rest"
     checked.note(Check.CHAIN, posed)
     calibrates = recording.posed and len(recording) > 1
     calibrated = range(min(len(recording), _CALIBRATED) if calibrates else 0)
     middle, calibration = len(recording) // 2, RecordedCalibration()
+    shares = {}
     # A file that was cut short ends at its last volume.
     for number in sorted({*calibrated, middle, len(recording) - 1}):
         volume = recording[number]
+        shares[number] = float(volume.seen.mean())
         if number == middle:
             checked.show(volume, (recording.X_WL(middle).inverse() @ volume.X_WP).rotation())
         if number in calibrated:
             calibration = calibration.seen(volume)
+    checked.findings += check_seen(shares)
     if calibrates:
         checked.findings += check_errors(calibration.errors)
 

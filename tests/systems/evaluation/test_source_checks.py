@@ -14,6 +14,7 @@ from sonoservo.systems.evaluation.source_checks import (
     check_errors,
     check_matrices,
     check_motion,
+    check_seen,
     check_spacing,
     check_times,
     check_volume,
@@ -140,6 +141,21 @@ def test_blank_and_hollow_volumes_are_told():
     hollow = volume.intensities * (RNG.random(volume.intensities.shape) < 0.4)
     hollow = Volume(hollow, np.zeros(3), volume.spacing, volume.X_WP, 0.0)
     assert "of what was seen is black" in worst(check_volume(hollow))[1]
+
+
+def test_a_sector_on_its_head_too_much_gain_and_holes_are_told():
+    volume = speckle(np.array([6e-4, 3e-4, 7e-4]), [1.6e-3, 0.6e-3, 2.2e-3])
+    i, j, _ = np.indices(volume.intensities.shape) / np.max(volume.intensities.shape)
+    wider = np.abs(i - i.max() / 2) < 0.1 + 0.3 * j
+    sector = replace(volume, mask=wider)
+    assert worst(check_volume(sector)) is None
+    assert "ran the other way" in worst(check_volume(replace(volume, mask=wider[:, ::-1])))[1]
+    overdriven = replace(volume, intensities=np.minimum(volume.intensities, 150))
+    assert "is as bright as can be" in worst(check_volume(overdriven))[1]
+    assert check_seen({0: 0.41, 4: 0.40, 7: 0.42}) == []
+    found = worst(check_seen({0: 0.41, 4: 0.2, 7: 0.42}))
+    assert found[0] is Check.CONTENT
+    assert "such as volume 4: 20 % instead of 41 %" in found[1]
 
 
 def test_amplitudes_that_are_not_log_compressed_are_told():

@@ -51,6 +51,12 @@ def test_numbers_for_nothing_were_not_seen(tmp_path):
         np.testing.assert_array_equal(volume.seen, ~outside)
         assert not volume.intensities[outside].any()
         np.testing.assert_allclose(volume.intensities[~outside], ARRAYS[0][~outside], atol=2)
+    # What is black around the field of view was not seen either.
+    sector = np.where(np.indices(SHAPE)[0] < SHAPE[0] // 2, 0, ARRAYS[0]).astype(np.float32)
+    sector[-1] = np.nan
+    (volume,) = Recording(write_sequence_nrrd(tmp_path / "b.seq.nrrd", [sector], times=[0.0]))
+    assert not volume.seen[: SHAPE[0] // 2].any()
+    assert not volume.seen[-1].any()
     # Neither dark speckle nor a type's own darkest number is a marker.
     dark = Recording(write_sequence_nrrd(tmp_path / "a.seq.nrrd", [ARRAYS[0].astype("i2") - 128]))
     assert dark[0].mask is None
