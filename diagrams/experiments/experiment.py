@@ -12,7 +12,7 @@ from pydrake.systems.framework import Context, System
 
 from sonoservo.diagrams.scenario import Scenario, ScenarioT
 from sonoservo.diagrams.wiring import connect_by_name
-from sonoservo.systems.evaluation.compile_free_clock import CompileFreeClock
+from sonoservo.systems.evaluation.compile_free_clock import FIRST_USE, CompileFreeClock
 from sonoservo.systems.evaluation.log import Log
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.signals.immutable import NotFound
@@ -57,7 +57,7 @@ class Experiment(ABC, Generic[ScenarioT]):
     background
         Total time in s so far of a stage's work, for stages that work in the background too.
     clock
-        Clock of the stages, in s. The compilation of kernels is not counted.
+        Clock of the stages, in s. The first use of a kernel in a process is not counted.
     optional, sees_truth
         Inputs that need no output, and systems that may see the truth; see `connect_by_name`.
     """
@@ -82,7 +82,7 @@ class Experiment(ABC, Generic[ScenarioT]):
     ) -> None:
         self.scenario = scenario
         self._period, self._offset = period, offset
-        self._stages, self._event, self._clock = stages, event, CompileFreeClock(clock)
+        self._stages, self._event, self._clock = stages, event, CompileFreeClock(clock, FIRST_USE)
         self._background = background or {}
         builder = DiagramBuilder()
         for name, system in systems.items():

@@ -9,12 +9,20 @@ from numba.core.event import Event, Listener, register, unregister
 COMPILATION = "numba:compile"
 """Numba's name of the compilation of a kernel; loading a compiled one from its file is none."""
 
+FIRST_USE = "numba:compiler_lock"
+"""Numba's name of what it does at the first use of a kernel in a process: to compile or load it."""
+
 
 class CompileFreeClock(Listener):
-    """Clock in s that stands still while Numba compiles kernels, which happens once a machine."""
+    """Clock in s that stands still while Numba compiles kernels, which happens once a machine.
 
-    def __init__(self, clock: Callable[[], float] = time.perf_counter) -> None:
-        self._clock = clock
+    With `FIRST_USE` as its event, it also stands still while compiled ones are loaded.
+    """
+
+    def __init__(
+        self, clock: Callable[[], float] = time.perf_counter, event: str = COMPILATION
+    ) -> None:
+        self._clock, self._event = clock, event
         self.compiled = 0.0
         self._begun = 0.0
         self._depth = 0  # a kernel's compilation may start that of another one
@@ -24,11 +32,11 @@ class CompileFreeClock(Listener):
         return self._clock() - self.compiled
 
     def __enter__(self) -> Self:
-        register(COMPILATION, self)
+        register(self._event, self)
         return self
 
     def __exit__(self, *error: object) -> None:
-        unregister(COMPILATION, self)
+        unregister(self._event, self)
 
     def on_start(self, event: Event) -> None:
         """Note the start of a compilation."""

@@ -29,9 +29,14 @@ def workers() -> ThreadPoolExecutor | None:
 def by_parts(function: Callable[[slice], T], count: int) -> list[T]:
     """Call a function with successive parts of a range, on as many threads as there are.
 
-    The parts do not depend on the number of threads.
+    The parts do not depend on the number of threads. The calling thread does those that no other
+    one has begun, so it does not wait for a scanner's frames that were handed in before.
     """
     ends = [count * part // _PARTS for part in range(_PARTS + 1)]
     parts = [slice(*each) for each in pairwise(ends) if each[0] < each[1]]
     pool = workers()
-    return list(map(function, parts) if pool is None else pool.map(function, parts))
+    if pool is None:
+        return list(map(function, parts))
+    begun = [(pool.submit(function, part), part) for part in parts]
+    last_first = [task.result() if not task.cancel() else function(part) for task, part in begun[::-1]]
+    return last_first[::-1]

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from itertools import chain
 from typing import Annotated, Any, Protocol
 
 import numpy as np
@@ -10,6 +11,7 @@ from pydrake.math import RigidTransform
 
 from sonoservo.systems.sampling.interpolation import sample_flags, sample_grid
 from sonoservo.systems.sampling.seen_hull import cut_level, darkest, seen_hull
+from sonoservo.systems.sampling.workers import by_parts
 from sonoservo.systems.signals.immutable import Immutable, Shape, Vector3, own, read_only, seal
 from sonoservo.systems.signals.point_spread import PointSpread
 from sonoservo.systems.signals.requirements import Finite, Positive, require
@@ -153,11 +155,12 @@ def _in_sector(
     """Return the flags of a grid's elements in a sector; a run's volumes share them."""
     x, y, z = (o + s * np.arange(n) for o, s, n in zip(origin, spacing, shape, strict=True))
     rows = np.stack(np.broadcast_arrays(y[:, np.newaxis], z), axis=-1)
-    inside = np.empty(shape, bool)
-    for number, each in enumerate(x):
-        plane = np.concatenate([np.full((*rows.shape[:2], 1), each), rows], axis=-1)
-        inside[number] = geometry.contains(plane)
-    return seal(inside)
+
+    def flags(part: slice) -> list[NDArray[np.bool_]]:
+        planes = (np.insert(rows, 0, each, axis=-1) for each in x[part])
+        return [geometry.contains(plane) for plane in planes]
+
+    return seal(np.array(list(chain(*by_parts(flags, len(x))))))
 
 
 class Acquired(Protocol):

@@ -116,9 +116,11 @@ def add_volume(
     first = np.isnan(repeats)
     anew, same = np.where(first, 1.0, renewed), np.where(first, 0.0, (1 - renewed) * repeats)
     nothing = anew + same
-    logs[:, 1:][:, -1:] += np.nan_to_num(np.log(drawn / nothing))[:, np.newaxis]
-    earlier = logs[:, : max(logs.shape[1] - 1, 1)]
-    earlier += np.nan_to_num(np.log((anew * drawn + same) / nothing))[:, np.newaxis]
+    arrived, there = np.log(drawn / nothing), np.log((anew * drawn + same) / nothing)
+    unseen = np.isnan(arrived)
+    arrived[unseen] = there[unseen] = 0
+    logs[:, 1:][:, -1:] += arrived[:, np.newaxis]
+    logs[:, : max(logs.shape[1] - 1, 1)] += there[:, np.newaxis]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
 from sonoservo.systems.sampling.interpolation import trilinear
+from sonoservo.systems.sampling.workers import by_parts
 from sonoservo.systems.signals.volume import Volume
 
 Floats = NDArray[np.float64]
@@ -77,7 +78,13 @@ def cells_of(volume: Volume) -> Cells:
     size = np.maximum(1, np.round(edge / volume.spacing)).astype(int)
     edges = size * volume.spacing
     powers = 10 ** (0.1 * volume.decibels_per_level * np.arange(256))
-    means, seen = _cell_levels(volume.intensities, powers, volume.seen, *size)
+
+    def levels_of(part: slice) -> Any:
+        rows = slice(size[0] * part.start, size[0] * part.stop)
+        return _cell_levels(volume.intensities[rows], powers, volume.seen[rows], *size)
+
+    parts = by_parts(levels_of, len(volume.intensities) // int(size[0]))
+    means, seen = (np.concatenate(each) for each in zip(*parts, strict=True))
     window = np.maximum(3, np.round(_AROUND / edges)).astype(int)
     share = uniform_filter(seen.astype(np.float32), window, mode="constant")
     around = uniform_filter(means, window, mode="constant") / np.maximum(share, np.float32(0.05))

@@ -8,12 +8,14 @@ needle from a guide wire, whether the probe moves or not.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
+from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
 
+from sonoservo.systems.sampling.workers import by_parts
 from sonoservo.systems.signals.immutable import Immutable, NotFound
 from sonoservo.systems.signals.line_hypotheses import (
     LINE_CLASSES,
@@ -418,8 +420,9 @@ def _add_fits(
     better: dict[int, int] = {}
     taken, new = set[int](), list[int]()
     spans = lines.spans.copy()
+    known, alike = _along(fresh, lines), _along(fresh, fresh)
     for number, fit in enumerate(fits):
-        here = _along(fresh, number, lines)
+        here = np.flatnonzero(known[number])
         if len(here):
             best = int(here[np.argmax(now[here])])
             if best in taken:
@@ -430,14 +433,17 @@ def _add_fits(
             else:
                 a = (ends[number] - lines.points[best]) @ lines.directions[best]
                 spans[best] = [min(spans[best, 0], a.min()), max(spans[best, 1], a.max())]
-        elif not len(_along(fresh, number, fresh.take(np.array(new, dtype=int)))):
+        elif not alike[number, new].any():
             new.append(number)
     changed = [*better.values(), *new]
     if not changed:
         return replace(lines, spans=spans), born
     added = fresh.take(np.array(changed))
-    for begun, each in enumerate(memory, 1 + times - len(memory)):
-        _add(added, _shown_at(added, each), each, max(begun, 1))
+    seen = by_parts(lambda part: [_shown_at(added, each) for each in memory[part]], len(memory))
+    for begun, (each, shown) in enumerate(
+        zip(memory, chain(*seen), strict=True), 1 + times - len(memory)
+    ):
+        _add(added, shown, each, max(begun, 1))
     added = replace(added, prominence=stretches(added.contrasts)[2])
     olds = np.array(list(better), dtype=int)
     for name in ("looks", "looked", "numbers"):
@@ -454,16 +460,16 @@ def _add_fits(
     return replace(lines, spans=spans).take(kept).join(added), born + len(new)
 
 
-def _along(fresh: Lines, number: int, lines: Lines) -> NDArray[np.int64]:
-    """Return the numbers of the lines along which a new one lies."""
-    ends = fresh.points[number] + np.outer(fresh.spans[number], fresh.directions[number])
-    away = ends[:, np.newaxis] - lines.points
+def _along(fresh: Lines, lines: Lines) -> NDArray[np.bool_]:
+    """Return (m, n) flags of m new lines that lie along n others."""
+    ends = fresh.points[:, np.newaxis] + fresh.spans[..., np.newaxis] * fresh.directions[:, np.newaxis]
+    away = ends[:, :, np.newaxis] - lines.points
     a = np.sum(away * lines.directions, axis=-1)
     off = np.linalg.norm(away - a[..., np.newaxis] * lines.directions, axis=-1)
-    overlap = np.minimum(a.max(axis=0), lines.spans[:, 1]) - np.maximum(
-        a.min(axis=0), lines.spans[:, 0]
+    overlap = np.minimum(a.max(axis=1), lines.spans[:, 1]) - np.maximum(
+        a.min(axis=1), lines.spans[:, 0]
     )
-    return np.flatnonzero((off.max(axis=0) < _SAME) & (overlap > -2 * _OVERLAP))
+    return np.asarray((off.max(axis=1) < _SAME) & (overlap > -2 * _OVERLAP))
 
 
 def explain_lines(belief: LineBelief, count: int = 6) -> LinesExplanation | NotFound:

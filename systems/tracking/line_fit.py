@@ -1,6 +1,7 @@
 """Fit of lines: moved across themselves to where a volume is brightest along them."""
 
 from dataclasses import dataclass
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -8,6 +9,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from sonoservo.systems.sampling.interpolation import trilinear
+from sonoservo.systems.sampling.workers import by_parts
 from sonoservo.systems.signals.volume import Volume
 from sonoservo.systems.tracking.cells import Cells
 from sonoservo.systems.tracking.line_contrast import BIN, MIDDLES, across, line_levels, stretches
@@ -130,6 +132,16 @@ def brightness(contrasts: NDArray[Any]) -> Floats:
 def fitted_lines(volume: Volume, cells: Cells, count: int = LINES) -> list[FittedLine]:
     """Return up to ``count`` bright lines, each moved to where it is brightest, brightest first."""
     middles, k = bright_lines(cells, count)
+
+    def fitted(part: slice) -> list[FittedLine]:
+        return _fitted(volume, middles[part], k[part])
+
+    lines = list(chain(*by_parts(fitted, len(middles))))
+    return sorted(lines, key=lambda line: -line.brightness)
+
+
+def _fitted(volume: Volume, middles: Floats, k: Floats) -> list[FittedLine]:
+    """Return those of the lines through (n, 3) middles in P along unit vectors that are lines."""
     ends = middles[:, np.newaxis] + HALF_LENGTH * np.array([[-1.0], [1.0]]) * k[:, np.newaxis]
     values = sums = np.zeros(len(ends))
     for reach in _REACHES:
@@ -155,5 +167,6 @@ def fitted_lines(volume: Volume, cells: Cells, count: int = LINES) -> list[Fitte
         a = np.stack([MIDDLES[firsts[found]] - BIN / 2, MIDDLES[lasts[found]] + BIN / 2], axis=1)
         ends = middles[found, np.newaxis] + a[..., np.newaxis] * k[found, np.newaxis]
         values, sums = brightness(contrasts[found]), evidence[found]
-    order = np.argsort(-values, kind="stable")
-    return [FittedLine(ends[n], float(values[n]), float(sums[n])) for n in order]
+    return [
+        FittedLine(*line) for line in zip(ends, values.tolist(), sums.tolist(), strict=True)
+    ]
