@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from functools import cache
+from functools import cache, partial
 from itertools import pairwise
 from typing import TypeVar
 
@@ -26,17 +26,25 @@ def workers() -> ThreadPoolExecutor | None:
     return ThreadPoolExecutor(threads, thread_name_prefix="kernels") if threads > 1 else None
 
 
+def begin(function: Callable[[], T]) -> Callable[[], T]:
+    """Begin a function on another thread, and return one that gives its result.
+
+    If no thread has begun it by then, as others' work was handed in before, it is called there.
+    """
+    pool = workers()
+    if pool is None:
+        return function
+    task = pool.submit(function)
+    return lambda: function() if task.cancel() else task.result()
+
+
 def by_parts(function: Callable[[slice], T], count: int) -> list[T]:
     """Call a function with successive parts of a range, on as many threads as there are.
 
-    The parts do not depend on the number of threads. The calling thread does those that no other
-    one has begun, so it does not wait for a scanner's frames that were handed in before.
+    The parts do not depend on the number of threads.
     """
     ends = [count * part // _PARTS for part in range(_PARTS + 1)]
     parts = [slice(*each) for each in pairwise(ends) if each[0] < each[1]]
-    pool = workers()
-    if pool is None:
-        return list(map(function, parts))
-    begun = [(pool.submit(function, part), part) for part in parts]
-    last_first = [task.result() if not task.cancel() else function(part) for task, part in begun[::-1]]
-    return last_first[::-1]
+    tasks = [begin(partial(function, part)) for part in parts]
+    # The last ones first, as this thread can take those that no other one has begun.
+    return [task() for task in tasks[::-1]][::-1]

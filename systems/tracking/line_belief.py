@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
 
-from sonoservo.systems.sampling.workers import by_parts
+from sonoservo.systems.sampling.workers import begin, by_parts
 from sonoservo.systems.signals.immutable import Immutable, NotFound
 from sonoservo.systems.signals.line_hypotheses import (
     LINE_CLASSES,
@@ -258,24 +258,13 @@ def follow(belief: LineBelief, volume: Volume, *, look: bool = False) -> LineBel
     """
     if not look and belief.memory and volume.time < belief.time + _PACE:
         return belief
-    memory = (*belief.memory[1 - _REMEMBERED :], _remember(volume, belief.memory))
-    shown = _shown_at(belief.lines, memory[-1])
-    newest = replace(
-        memory[-1],
-        change=change_between(shown.along, belief.lines.levels),
-        image_change=change_between(shown.riding, belief.lines.image_levels),
-    )
-    memory = (*memory[:-1], newest)
-    appearing = belief.appearing
-    if len(memory) > 1:
-        # The oldest arrivals but "always" are forgotten.
-        appears = float(np.log(_APPEARS * newest.change.renewed))
-        appearing = (-50.0, *appearing[1:][2 - _REMEMBERED :], appears)
-    lines = _look_on(belief.lines, shown, newest, len(appearing))
+    cells = cells_of(volume)
+    seen = begin(lambda: _seen_again(belief, _remember(volume, cells, belief.memory)))
+    fits = fitted_lines(volume, cells)
+    lines, memory, appearing = seen()
     born = belief.born
     needle = _NEEDLES / max(belief.births, 1.0)
     prior = np.log(np.r_[needle / 2, needle / 2, (1 - needle) * _OTHERS])
-    fits = fitted_lines(volume, memory[-1].cells)
     lines, born = _add_fits(lines, fits, memory, born, prior)
     births = belief.births + _BIRTHS * (born - belief.born - belief.births)
     order = np.argsort(-lines.prominence, kind="stable")[:_LINES]
@@ -304,6 +293,24 @@ def follow(belief: LineBelief, volume: Volume, *, look: bool = False) -> LineBel
     return LineBelief(memory, lines, appearing, born, births, volume.time)
 
 
+def _seen_again(
+    belief: LineBelief, newest: Remembered
+) -> tuple[Lines, tuple[Remembered, ...], tuple[float, ...]]:
+    """Return the lines after what a later volume shows of them, the memory and the `appearing`."""
+    shown = _shown_at(belief.lines, newest)
+    newest = replace(
+        newest,
+        change=change_between(shown.along, belief.lines.levels),
+        image_change=change_between(shown.riding, belief.lines.image_levels),
+    )
+    memory, appearing = (*belief.memory[1 - _REMEMBERED :], newest), belief.appearing
+    if len(memory) > 1:
+        # The oldest arrivals but "always" are forgotten.
+        appears = float(np.log(_APPEARS * newest.change.renewed))
+        appearing = (-50.0, *appearing[1:][2 - _REMEMBERED :], appears)
+    return _look_on(belief.lines, shown, newest, len(appearing)), memory, appearing
+
+
 def _passing(lines: Lines, memory: Sequence[Remembered], times: int) -> Floats:
     """Return (n, t) bins by which the image moved along lines in tissue before each arrival."""
     p_P = memory[-1].in_image(lines.points)
@@ -312,9 +319,8 @@ def _passing(lines: Lines, memory: Sequence[Remembered], times: int) -> Floats:
     return np.pad(steps, ((0, 0), (times - steps.shape[1], 0)))
 
 
-def _remember(volume: Volume, memory: Sequence[Remembered]) -> Remembered:
+def _remember(volume: Volume, cells: Cells, memory: Sequence[Remembered]) -> Remembered:
     """Return a volume with the displacement of its tissue, compared with several before it."""
-    cells = cells_of(volume)
     if not memory:
         return Remembered(volume, cells, np.zeros(3), np.zeros(3))
     last = memory[-1].displacement
