@@ -20,8 +20,8 @@ INTERRUPTED = 130
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 _RETRY = 0.01  # Time in s until an interruption that was swallowed is raised again
-# Module of the compiler's callbacks.
-_COMPILER = os.path.join("llvmlite", "binding", "executionengine.py")
+# Modules of the compiler, which an exception amidst them leaves in disorder.
+_COMPILER = os.path.join("llvmlite", "binding", "")
 _received: list[int] = []
 
 
@@ -41,8 +41,8 @@ def catch_interruptions() -> None:
     All three raise KeyboardInterrupt in the main thread, so that a run keeps what it has. A second
     signal ends the program at once; one that is ignored at the start, as by ``nohup``, stays
     ignored. A thread keeps the watch, because the main thread may be inside a compiler. Callbacks
-    from C and finalizers swallow exceptions, so an interruption in one is raised again; one in the
-    compiler's callbacks, which crash it if they fail, waits.
+    from C and finalizers swallow exceptions, so an interruption in one is raised again; one amidst
+    the compiler, which holds its locks and may crash, waits.
     """
     watch, wake = socket.socketpair()
     wake.setblocking(False)
@@ -62,9 +62,9 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
 
 
 def _interrupt_again(number: int, frame: FrameType | None) -> None:
-    """Raise KeyboardInterrupt, or wait if the compiler is calling back."""
+    """Raise KeyboardInterrupt, or wait if the compiler is at work."""
     while frame is not None:
-        if frame.f_code.co_filename.endswith(_COMPILER):
+        if _COMPILER in frame.f_code.co_filename:
             signal.setitimer(signal.ITIMER_REAL, _RETRY)
             return
         frame = frame.f_back
