@@ -104,10 +104,10 @@ def compile_command(
 
 
 def run_command(
-    scenario: ScenarioArgument,
     page: Page,
     serve: Serving,
     results: Results,
+    scenario: ScenarioArgument = "chatelain2013_fig5",
     changes: ChangesOption = None,
     seed: SeedOption = None,
     meshcat: Annotated[bool, typer.Option(help="Show the run in a browser, in real time.")] = True,

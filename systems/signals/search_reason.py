@@ -12,7 +12,12 @@ class Reader(Enum):
 
     SCENARIO = auto()
     RECORDING = auto()
+    RECORDING_ANYWHERE = auto()
+    """Of a recording that is searched as that advice would have it already."""
     OPERATOR = auto()
+
+
+_START = "--start anywhere"
 
 
 @dataclass(frozen=True)
@@ -31,8 +36,10 @@ def advice(remedies: Iterable[Remedy], reader: Reader) -> str:
     """Return what a reader can change, in words with the names in brackets; empty if nothing."""
     said = []
     for each in remedies:
-        names = each.options if reader is Reader.RECORDING else each.fields
-        if names is not None:
+        recorded = reader in (Reader.RECORDING, Reader.RECORDING_ANYWHERE)
+        names = each.options if recorded else each.fields
+        done = reader is Reader.RECORDING_ANYWHERE and names == _START
+        if names is not None and not done:
             shown = names and reader is not Reader.OPERATOR
             said.append(f"{each.words} ({names})" if shown else each.words)
     return ", or ".join(said)
@@ -44,7 +51,7 @@ _IN_SIGHT = Remedy("push the needle in while the probe looks on", "hand.pushes, 
 _FURTHER = Remedy("push the needle further into view", "hand.pushes")
 _SLOWLY = Remedy("push the needle more slowly", "hand.pushes", "")
 _OFTEN = Remedy("record more volumes a second", "imaging.volume_rate", "")
-_ANYWHERE = Remedy("look for it in whole volumes", "tracker.start=anywhere", "--start anywhere")
+_ANYWHERE = Remedy("look for it in whole volumes", "tracker.start=anywhere", _START)
 _BRIGHTER = Remedy("make it brighter", "scanner.needle")
 _LOOK = Remedy(
     "look at the volumes (--show): does the sound run as --depth says, is the needle brighter than "
@@ -107,7 +114,7 @@ class SearchReason(Enum):
         "the line most like a needle was there",
         "the line most like a needle was there before",
         _IN_SIGHT,
-        Remedy("take any line that looks like one", "tracker.start=anywhere", "--start anywhere"),
+        Remedy("take any line that looks like one", "tracker.start=anywhere", _START),
     )
     RIDES = (
         "the line most like a needle moves along",
@@ -179,9 +186,8 @@ class ReasonCount:
             for each, count in self._counts.most_common()
         }
 
-    @property
-    def advice(self) -> str:
-        """What a person with volumes can change about the most frequent kind; may be empty."""
+    def advice(self, reader: Reader) -> str:
+        """Return what a reader can change about the most frequent kind; may be empty."""
         kinds = (each for each, _ in self._counts.most_common() if isinstance(each, SearchReason))
-        said = (advice(each.remedies, Reader.RECORDING) for each in kinds)
+        said = (advice(each.remedies, reader) for each in kinds)
         return next(filter(None, said), "")

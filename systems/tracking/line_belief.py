@@ -468,7 +468,9 @@ def _add_fits(
 
 def _along(fresh: Lines, lines: Lines) -> NDArray[np.bool_]:
     """Return (m, n) flags of m new lines that lie along n others."""
-    ends = fresh.points[:, np.newaxis] + fresh.spans[..., np.newaxis] * fresh.directions[:, np.newaxis]
+    ends = (
+        fresh.points[:, np.newaxis] + fresh.spans[..., np.newaxis] * fresh.directions[:, np.newaxis]
+    )
     away = ends[:, :, np.newaxis] - lines.points
     a = np.sum(away * lines.directions, axis=-1)
     off = np.linalg.norm(away - a[..., np.newaxis] * lines.directions, axis=-1)

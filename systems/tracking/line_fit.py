@@ -167,6 +167,4 @@ def _fitted(volume: Volume, middles: Floats, k: Floats) -> list[FittedLine]:
         a = np.stack([MIDDLES[firsts[found]] - BIN / 2, MIDDLES[lasts[found]] + BIN / 2], axis=1)
         ends = middles[found, np.newaxis] + a[..., np.newaxis] * k[found, np.newaxis]
         values, sums = brightness(contrasts[found]), evidence[found]
-    return [
-        FittedLine(*line) for line in zip(ends, values.tolist(), sums.tolist(), strict=True)
-    ]
+    return [FittedLine(*line) for line in zip(ends, values.tolist(), sums.tolist(), strict=True)]

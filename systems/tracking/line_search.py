@@ -46,7 +46,7 @@ def _line_contrasts(  # pragma: no cover - compiled
     # so that they stay in its nearest memory.
     n, half = len(levels) - 2 * margin, np.int16(along.shape[1])
     cells_of_line = np.int16(2 * half + 1)
-    best, direction = np.zeros(n, np.int16), np.zeros(n, np.int16)
+    best, direction = np.zeros(len(levels), np.int16), np.zeros(len(levels), np.int16)
     halves, whole = np.zeros(len(levels), np.int16), np.zeros(len(levels), np.int16)
     sides = np.zeros(_BLOCK, np.int16)
     dark, uneven = np.int16(_DARK_SIDES * cells_of_line), np.int16(_UNEVEN * half * cells_of_line)
@@ -77,16 +77,17 @@ def _line_contrasts(  # pragma: no cover - compiled
                     side[x] = max(side[x], other[x])
             ahead, behind = halves[first:last], halves[first - back : last - back]
             line = whole[first:last]
-            most, way = best[first - margin : last - margin], direction[first - margin : last - margin]
+            most, way = best[first:last], direction[first:last]
             for x in range(len(side)):
-                # Every intermediate value is short, and there is no branch: the compiler makes
-                # vectors.
+                # Every intermediate value is short, without a branch, for the compiler's vectors.
                 darker = np.int16(np.int16(min(ahead[x], behind[x]) * cells_of_line) + uneven)
-                contrast = np.int16(min(np.int16(line[x] * half), darker) - np.int16(side[x] * half))
+                contrast = np.int16(
+                    min(np.int16(line[x] * half), darker) - np.int16(side[x] * half)
+                )
                 more = np.int16(contrast > most[x])
                 most[x] = max(most[x], contrast)
                 way[x] += np.int16(more * np.int16(number - way[x]))
-    return best, direction
+    return best[margin : margin + n], direction[margin : margin + n]
 
 
 @njit(cache=True, nogil=True)

@@ -83,7 +83,7 @@ def track_live(
     a scanner of this package sends, or else 0. The console's pages may end the tracking.
     """
     sent, started = names or NeedleNames(), time.perf_counter()
-    modes, delays = ModeCount(), _Delays()
+    modes, delays = ModeCount(parameters), _Delays()
     samples = live_samples(source, limits or LiveLimits(), say, console)
     with ExitStack() as stack:
         sinks: list[Sink] = [modes]

@@ -9,7 +9,8 @@ from typing import Any, TextIO
 import numpy as np
 
 from sonoservo.diagrams.tracker_bench import Tracked
-from sonoservo.systems.signals.search_reason import ReasonCount
+from sonoservo.diagrams.trackers.tracker_parts import TrackerParameters
+from sonoservo.systems.signals.search_reason import Reader, ReasonCount
 
 
 def estimate_row(tracked: Tracked, *, posed: bool) -> dict[str, Any]:
@@ -56,7 +57,9 @@ _SINGLE = "find the needle in a single volume with sonoservo locate, or record m
 class ModeCount:
     """Sink that counts the tracker's modes, and why volumes gave no needle."""
 
-    def __init__(self) -> None:
+    def __init__(self, parameters: TrackerParameters | None) -> None:
+        anywhere = getattr(parameters, "start", None) == "anywhere"
+        self.reader = Reader.RECORDING_ANYWHERE if anywhere else Reader.RECORDING
         self._modes: Counter[str] = Counter()
         self._lost = ReasonCount()
 
@@ -69,7 +72,7 @@ class ModeCount:
     def figures(self) -> dict[str, Any]:
         """Return the figures of a summary."""
         single = self._modes.total() == 1
-        advice = _SINGLE if single else self._lost.advice
+        advice = _SINGLE if single else self._lost.advice(self.reader)
         return {
             "volumes": self._modes.total(),
             "modes": dict(sorted(self._modes.items())),

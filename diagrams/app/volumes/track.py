@@ -47,7 +47,6 @@ from sonoservo.systems.files.writing import Unwritten, claim_folder, write_atomi
 from sonoservo.systems.recording.side_files import TRUTH, Truth, read_truth, side_path
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
-from sonoservo.systems.signals.search_reason import Reader
 from sonoservo.systems.signals.volume import Volume
 
 if TYPE_CHECKING:
@@ -205,7 +204,7 @@ def track_recording(
     estimates: list[NeedleEstimate] = []
     rows: list[dict[str, Any]] = []
     pictures: list[VolumePictures] = []
-    modes = ModeCount()
+    modes = ModeCount(parameters)
     pictured = set(np.linspace(0, len(recording) - 1, _PICTURES).round().astype(int).tolist())
 
     def note(tracked: Tracked) -> None:
@@ -248,7 +247,7 @@ def track_recording(
             **modes.figures(),
         }
         log = bench.log() if beside is None else beside.log()
-        figures = summarize(log, reader=Reader.RECORDING)
+        figures = summarize(log, reader=modes.reader)
         kept = ("detection", "tracking", "compute_ms") if truth else ("compute_ms",)
         summary |= {name: figures[name] for name in kept}
         if correct_poses:

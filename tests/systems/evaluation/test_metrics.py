@@ -7,8 +7,7 @@ from synthetic_logs import build_log
 
 from sonoservo.systems.evaluation import summarize
 from sonoservo.systems.evaluation.metrics import missing_needle
-from sonoservo.systems.signals import ReasonCount
-from sonoservo.systems.signals.search_reason import Reader, advice
+from sonoservo.systems.signals.search_reason import Reader, ReasonCount, advice
 
 
 def test_the_whole_summary_is_json(insertion_log, make_log):
@@ -283,5 +282,6 @@ def test_reasons_are_counted_by_kind_the_most_frequent_first():
         [MOVED, STILL, "it rains", "", STILL, "the change is spread over 9 mm", STILL]
     )
     assert count.words == {"nothing changes": 3, "too much changes at once": 2, "it rains": 1}
-    assert "--start anywhere" in count.advice
-    assert ReasonCount(["it rains"]).advice == ""
+    assert "--start anywhere" in count.advice(Reader.RECORDING)
+    assert "--start anywhere" not in count.advice(Reader.RECORDING_ANYWHERE)
+    assert ReasonCount(["it rains"]).advice(Reader.RECORDING) == ""
