@@ -9,8 +9,8 @@ linear in the seven unknowns.
 """
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Annotated
 
@@ -20,8 +20,10 @@ from numpy.typing import NDArray
 from pydrake.math import RigidTransform, RotationMatrix
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
+from scipy.stats import t as student
 
 from sonoservo.systems.shape.normalized_cross_correlation import Match, best_match
+from sonoservo.systems.signals.confidence import squared_distance
 from sonoservo.systems.signals.immutable import Immutable, NotFound, Shape, Vector3
 from sonoservo.systems.signals.sweep import SweepMotion
 from sonoservo.systems.signals.volume import Volume, acquired_from
@@ -100,6 +102,7 @@ _STILL = 0.6e-3
 _PRIOR = np.array([0.2, 3e-3, 3e-3, 3e-3, 0.03, 0.03, 0.03])
 _DEGREE = 3  # Degree of the polynomial through the poses of a sweep
 _LEAST_PAIRS = 8  # Number of pairs of volumes without which nothing is said
+_PLAUSIBLE = 0.999  # Share of the errors that can be expected beyond which the tissue's are blamed
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +116,8 @@ class PoseErrors(Immutable):
     rotation: Vector3
     """Rotation vector in rad of the image in P."""
     covariance: Annotated[Floats, Shape(7, 7)]
-    """Covariance of delay, translation and rotation."""
+    """Covariance of delay, translation and rotation, by the places in which the probe was."""
+    places: int
     pairs: int
     blocks: int
     """Number of blocks of tissue compared in all ``pairs`` of volumes."""
@@ -122,6 +126,11 @@ class PoseErrors(Immutable):
     def std(self) -> Floats:
         """(7,) standard deviations of delay, translation and rotation."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+    @property
+    def told(self) -> NDArray[np.bool_]:
+        """(7,) flags of what the volumes tell better than what can be expected without them."""
+        return np.asarray(self.std < _PRIOR / math.sqrt(2))
 
     @property
     def X_PI(self) -> RigidTransform:
@@ -151,6 +160,8 @@ class PoseEquations(Immutable):
 
     matrix: Annotated[Floats, Shape("m", 7)]
     displacement: Annotated[Floats, Shape("m")]
+    places: tuple[int, int] = (0, 1)
+    """Numbers of the two places of the probe."""
 
 
 def probe_velocities(motion: SweepMotion, times: Floats) -> tuple[Floats, Floats]:
@@ -200,8 +211,13 @@ def estimate_pose_errors(equations: Sequence[PoseEquations]) -> PoseErrors | Not
 
     Returns
     -------
-    The errors, with a covariance that counts pairs, as the blocks of a pair err together (a
-    sandwich estimate); or a `NotFound` if there are too few pairs, or the tissue moves.
+    The errors, or a `NotFound` if there are too few pairs, or the tissue moves.
+
+    Whatever is odd about a place of the probe, such as how far it presses the tissue in, is in
+    every pair of volumes that shares it. A fit to pairs from few places follows it, and leaves
+    small residuals. For the covariance, each place is therefore left out in turn, to see how far
+    the estimate then goes (a jackknife). Twice its standard deviations are 95 %, by Student's
+    distribution where places are few.
     """
     used = [each for each in equations if len(each.displacement)]
     if len(used) < _LEAST_PAIRS:
@@ -223,20 +239,57 @@ def estimate_pose_errors(equations: Sequence[PoseEquations]) -> PoseErrors | Not
     off = float(np.median(np.linalg.norm((A @ x - d).reshape(-1, 3), axis=1)))
     if off > _STILL:
         return NotFound(f"the tissue moves: half of it is off by more than {1e3 * off:.1f} mm")
-    weights = 1 / np.sqrt(1 + ((A @ x - d) / _OUTLYING) ** 2)
-    information = (A * weights[:, np.newaxis]).T @ A + expected @ expected
-    scores = np.zeros((7, 7))
-    at = 0
-    for each in used:
-        rows = slice(at, at := at + len(each.displacement))
-        score = A[rows].T @ (weights[rows] * (d[rows] - A[rows] @ x))
-        scores += np.outer(score, score)
-    inverse = np.linalg.inv(information)
-    few = len(used) / max(len(used) - 7, 1)
-    covariance = inverse @ (few * scores + expected**4) @ inverse
-    scaled = _PRIOR[:, np.newaxis] * covariance * _PRIOR
+    covariance = _PRIOR[:, np.newaxis] * _covariance(used, x, float(expected[0, 0]) ** 2) * _PRIOR
     delay, *rest = (_PRIOR * x).tolist()
-    return PoseErrors(delay, rest[:3], rest[3:], scaled, len(used), len(d) // 3)
+    places = {place for each in used for place in each.places}
+    return PoseErrors(delay, rest[:3], rest[3:], covariance, len(places), len(used), len(d) // 3)
+
+
+def _covariance(used: Sequence[PoseEquations], x: Floats, expected: float) -> Floats:
+    """Return the covariance of the errors x, relative to those that can be expected.
+
+    ``expected`` is the information that these are, for the equations as they are.
+    """
+    informations, scores = zip(*(_fit(each, x) for each in used), strict=True)
+    told = np.sum(informations, axis=0)
+    inverse = np.linalg.inv(told + expected * np.eye(7))
+    places = {place for each in used for place in each.places}
+    freedom = len(places) - 1 - float(np.trace(inverse @ told))
+    if freedom < 1:
+        return np.eye(7)
+    shifts = []
+    for place in places:
+        out = [k for k, each in enumerate(used) if place in each.places]
+        left = told + expected * np.eye(7) - np.sum([informations[k] for k in out], axis=0)
+        shifts.append(np.linalg.solve(left, np.sum([scores[k] for k in out], axis=0)))
+    spread = (len(places) - 1) / len(places) * np.einsum("pi,pj->ij", shifts, shifts)
+    wide = float(student.ppf(0.975, freedom)) / 2
+    return np.asarray(wide**2 * spread + expected**2 * inverse @ inverse)
+
+
+def _fit(equations: PoseEquations, x: Floats) -> tuple[Floats, Floats]:
+    """Return the information and the score of a pair's equations, weighed as at x."""
+    A = equations.matrix * _PRIOR
+    off = equations.displacement - A @ x
+    weighed = A.T / np.sqrt(1 + (off / _OUTLYING) ** 2)
+    return weighed @ A, weighed @ off
+
+
+def told_errors(errors: PoseErrors | NotFound) -> PoseErrors | NotFound:
+    """Return errors if the volumes tell any of them, or a `NotFound` with what to change."""
+    if isinstance(errors, NotFound):
+        return errors
+    x = np.array([errors.delay, *errors.translation, *errors.rotation]) / _PRIOR
+    if x @ x > squared_distance(_PLAUSIBLE, len(x)):
+        why = (
+            "the tissue seems to move as if they were far larger than can be expected; it must "
+            "stand still, and the probe press it evenly"
+        )
+    elif not errors.told.any():
+        why = f"the probe was in only {errors.places} places; move and turn it more"
+    else:
+        return errors
+    return NotFound(f"they cannot be told from these volumes: {why}")
 
 
 _VOLUMES, _PAIRS = 12, 60  # Largest numbers of earlier volumes and of pairs that are kept
@@ -251,7 +304,10 @@ _LEAST, _MOST = 0.1, 2.0
 class PoseCalibration(Immutable):
     """The newest volumes, and the equations of pairs that tell the errors of their poses."""
 
-    volumes: tuple[Volume, ...] = ()
+    volumes: tuple[tuple[int, Volume], ...] = ()
+    """Each with the number of its place."""
+    places: Mapping[int, RigidTransform] = field(default_factory=dict)
+    """Poses of the probe by number; those too close to be compared are one place."""
     equations: tuple[PoseEquations, ...] = ()
 
     @cached_property
@@ -263,21 +319,31 @@ class PoseCalibration(Immutable):
 
     def seen(self, volume: Volume) -> "PoseCalibration":
         """Return the calibration after one more volume, compared with the one that tells most."""
-        kept = (*self.volumes, volume)[-_VOLUMES:]
-        apart = [(_motion(earlier, volume), earlier) for earlier in self.volumes]
-        near = [(abs(math.log(m)), each) for m, each in apart if _LEAST <= m <= _MOST]
+        apart = {number: _motion(X, volume.X_WP) for number, X in self.places.items()}
+        place = min(apart, key=lambda number: apart[number], default=-1)
+        places = dict(self.places)
+        if place < 0 or apart[place] >= _LEAST:
+            place = max(places, default=-1) + 1
+            places[place] = volume.X_WP
+        known = PoseCalibration(
+            (*self.volumes, (place, volume))[-_VOLUMES:],
+            dict(list(places.items())[-_PAIRS:]),
+            self.equations,
+        )
+        moved = [(_motion(each.X_WP, volume.X_WP), number, each) for number, each in self.volumes]
+        near = [(abs(math.log(m)), *rest) for m, *rest in moved if _LEAST <= m <= _MOST]
         if not near:
-            return replace(self, volumes=kept)
-        earlier = min(near, key=lambda each: each[0])[1]
-        seen = displacement_between(earlier, volume)
-        if not len(seen.p_W):
-            return replace(self, volumes=kept)
-        equations = (*self.equations, pose_equations(earlier, volume, seen))[-_PAIRS:]
-        return PoseCalibration(kept, equations)
+            return known
+        _, other, earlier = min(near, key=lambda each: each[0])
+        tissue = displacement_between(earlier, volume)
+        if not len(tissue.p_W):
+            return known
+        pair = replace(pose_equations(earlier, volume, tissue), places=(other, place))
+        return replace(known, equations=(*self.equations, pair)[-_PAIRS:])
 
 
-def _motion(first: Volume, second: Volume) -> float:
-    """Return the motion of the probe between two volumes, relative to that which tells most."""
-    X = first.X_WP.InvertAndCompose(second.X_WP)
+def _motion(first: RigidTransform, second: RigidTransform) -> float:
+    """Return the motion between two poses, relative to that which tells most."""
+    X = first.InvertAndCompose(second)
     moved = math.hypot(*X.translation()) / _TRANSLATION
     return math.hypot(moved, X.rotation().ToAngleAxis().angle() / _ROTATION)

@@ -11,8 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.stats import skew
 from scipy.stats import t as student
 
-from sonoservo.systems.calibration.pose_errors import PoseErrors
-from sonoservo.systems.calibration.recorded_errors import are_told
+from sonoservo.systems.calibration.pose_errors import PoseErrors, told_errors
 from sonoservo.systems.files.volume_file import MAX_STEP
 from sonoservo.systems.sampling.interpolation import sample_grid
 from sonoservo.systems.signals.immutable import NotFound
@@ -394,9 +393,10 @@ def _check_speckle(volume: Volume) -> Finding:
 
 def check_errors(errors: PoseErrors | NotFound) -> list[Finding]:
     """Check delay and calibration of the poses, as tissue that stands still tells them."""
+    errors = told_errors(errors)
     if isinstance(errors, NotFound):
         return [_fine(Check.DELAY, f"delay and calibration unknown: {errors.reason}")]
-    told, half = are_told(errors), 2 * errors.std
+    told, half = errors.told, 2 * errors.std
     moved, moved_half, turned, turned_half = (
         float(np.linalg.norm(each[part][told[part]]))
         for part in (slice(1, 4), slice(4, 7))

@@ -6,8 +6,7 @@ from typing import Any
 import numpy as np
 
 from sonoservo.diagrams.app.volumes.opening import ReconstructedRecording
-from sonoservo.systems.calibration.pose_errors import PoseErrors
-from sonoservo.systems.calibration.recorded_errors import RecordedCalibration, are_told
+from sonoservo.systems.calibration.pose_errors import PoseCalibration, PoseErrors, told_errors
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.recording.recording import Recording
 from sonoservo.systems.signals.immutable import NotFound
@@ -21,7 +20,7 @@ def calibrate_recording(
     """Estimate delay and hand-eye error of a recording's poses, from tissue that stands still."""
     if not recording.posed:
         raise ConfigurationError(f"{recording.path}: the volumes have no poses to be calibrated")
-    calibration = RecordedCalibration()
+    calibration = PoseCalibration()
     for number in range(len(recording)):
         calibration = calibration.seen(recording[number])
         if after_volume is not None:
@@ -32,13 +31,14 @@ def calibrate_recording(
 def pose_error_figures(errors: PoseErrors | NotFound) -> dict[str, Any]:
     """Return the errors of poses, and their standard deviations, in ms, mm and deg.
 
-    Both are None where the volumes do not tell them (`are_told`).
+    Both are None where the volumes do not tell them.
     """
+    errors = told_errors(errors)
     if isinstance(errors, NotFound):
         return {"found": False, "reason": errors.reason}
     found = np.array([errors.delay, *errors.translation, *errors.rotation])
     (delay, *rest), (delay_std, *rest_std) = (
-        [value if told else None for value, told in zip(each, are_told(errors), strict=True)]
+        [value if told else None for value, told in zip(each, errors.told, strict=True)]
         for each in (_UNITS * found, _UNITS * errors.std)
     )
     return {

@@ -18,7 +18,7 @@ from sonoservo.diagrams.app.volumes.opening import (
     open_volumes,
     with_frames,
 )
-from sonoservo.systems.calibration.recorded_errors import RecordedCalibration
+from sonoservo.systems.calibration.pose_errors import PoseCalibration
 from sonoservo.systems.evaluation.reports.scan_sheet import orientation_sheet
 from sonoservo.systems.evaluation.source_checks import (
     Check,
@@ -226,7 +226,7 @@ def _check_recording(checked: CheckedSource, recording: Recording, depth: str) -
     checked.note(Check.CHAIN, posed)
     calibrates = recording.posed and len(recording) > 1
     calibrated = range(min(len(recording), _CALIBRATED) if calibrates else 0)
-    middle, calibration = len(recording) // 2, RecordedCalibration()
+    middle, calibration = len(recording) // 2, PoseCalibration()
     shares = {}
     # A file that was cut short ends at its last volume.
     for number in sorted({*calibrated, middle, len(recording) - 1}):
@@ -380,7 +380,7 @@ def _check_images(checked: CheckedSource, record: _StreamRecord, maker: VolumeMa
             text, advice = "no image", "let the scanner's program send IMAGE messages"
         checked.note(Check.CONTENT, text, Grade.DOUBTFUL, advice)
         return
-    volumes, calibration = [], RecordedCalibration()
+    volumes, calibration = [], PoseCalibration()
     for posed in record.images:
         volume = maker(posed)
         if isinstance(volume, Volume):

@@ -48,7 +48,7 @@ def test_the_hand_eye_error_is_taken_out_of_a_pose():
     X_PI = RigidTransform(RollPitchYaw(0.01, -0.02, 0.03), [1e-3, 2e-3, -3e-3])
     X_WP = RigidTransform(RollPitchYaw(0.1, 0.2, -0.3), [0.1, 0.2, 0.3])
     turn = Rotation.from_matrix(X_PI.rotation().matrix()).as_rotvec()
-    errors = PoseErrors(0.05, X_PI.translation(), turn, np.eye(7), pairs=9, blocks=90)
+    errors = PoseErrors(0.05, X_PI.translation(), turn, np.eye(7), places=9, pairs=9, blocks=90)
     system = HandEyeCorrector()
     context = system.CreateDefaultContext()
     system.GetInputPort("X_WP").FixValue(context, Value(X_WP))

@@ -168,7 +168,7 @@ def test_amplitudes_that_are_not_log_compressed_are_told():
 @pytest.mark.parametrize(("delay", "std", "needed"), [(0.06, 0.005, True), (0.06, 0.05, False)])
 def test_delay_counts_where_its_interval_leaves_zero(delay, std, needed):
     covariance = np.diag([std**2, *[1e-6] * 3, *[1e-6] * 3])
-    errors = PoseErrors(delay, np.zeros(3), np.zeros(3), covariance, 20, 200)
+    errors = PoseErrors(delay, np.zeros(3), np.zeros(3), covariance, 15, 20, 200)
     found = worst(check_errors(errors))
     assert (found is not None) == needed
     low, high = 1e3 * (delay - 2 * std), 1e3 * (delay + 2 * std)
