@@ -330,8 +330,11 @@ class PoseCalibration(Immutable):
             dict(list(places.items())[-_PAIRS:]),
             self.equations,
         )
-        moved = [(_motion(each.X_WP, volume.X_WP), number, each) for number, each in self.volumes]
-        near = [(abs(math.log(m)), *rest) for m, *rest in moved if _LEAST <= m <= _MOST]
+        near = [
+            (abs(math.log(moved)), number, each)
+            for number, each in self.volumes
+            if _LEAST <= (moved := _motion(each.X_WP, volume.X_WP)) <= _MOST
+        ]
         if not near:
             return known
         _, other, earlier = min(near, key=lambda each: each[0])
