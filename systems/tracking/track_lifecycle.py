@@ -139,7 +139,8 @@ class TrackLifecycle:
             found = self.most_probable(track, lines)
             probability = SUREST if isinstance(found, NotFound) else min(found[1], SUREST)
             state = self.needle_filter.start(measurement)
-            return self._confirmed(state, measurement, probability, search=track)
+            begun = replace(Track.without_needle(time), search=track)
+            return self._confirmed(state, measurement, probability, begun)
         assert track.state is not None
         probability = _bayes(track.probability, _DETECTED / _CLUTTER)
         if track.search is not None:
@@ -153,7 +154,7 @@ class TrackLifecycle:
                 return self._miss(track.search, time, None, SearchReason.UNCERTAIN(" any more"))
         if not self.parameters.filtering:
             state = self.needle_filter.start(measurement)
-            return self._confirmed(state, measurement, probability, track, search=track.search)
+            return self._confirmed(state, measurement, probability, track)
         if measurement.curve.direction @ track.state.curve.direction < 0:
             # Its tip has come out past its entry.
             return Track.without_needle(time, SearchReason.WITHDRAWN())
@@ -161,9 +162,7 @@ class TrackLifecycle:
         distance = innovation_distance(state, measurement)
         if distance <= self.gate:
             state = self.needle_filter.update(state, measurement, speed)
-            return self._confirmed(
-                state, measurement, probability, track, distance, search=track.search
-            )
+            return self._confirmed(state, measurement, probability, track, distance)
         if track.rejected is not None:
             # If two rejected measurements agree with each other, the prediction is wrong.
             before = self.needle_filter.start(track.rejected)
@@ -171,9 +170,7 @@ class TrackLifecycle:
             if innovation_distance(before, measurement) <= self.gate:
                 state = self.needle_filter.start(measurement)
                 moved = replace(track, entry=None)
-                return self._confirmed(
-                    state, measurement, probability, moved, distance, search=track.search
-                )
+                return self._confirmed(state, measurement, probability, moved, distance)
         missed = replace(track, rejected=measurement, innovation=distance)
         off = f" {distance:.1f} standard deviations from the prediction"
         return self._miss(missed, time, speed, SearchReason.OFF_PREDICTION(off))
@@ -183,20 +180,17 @@ class TrackLifecycle:
         state: NeedleState,
         measurement: NeedleMeasurement,
         probability: float,
-        before: Track | None = None,
+        before: Track,
         innovation: float | None = None,
-        *,
-        search: Track | None,
     ) -> Track:
-        """Return a track that a measurement confirms, which continues an earlier one or begins.
+        """Return a track that a measurement confirms, which continues one before.
 
-        As long as its line may not be the needle, it can go back to the ``search``.
+        As long as its line may not be the needle, it can go back to its search.
         """
-        entry = before.entry if before else None
         return replace(
             Track.confirmed(state, measurement.time, innovation, probability),
-            entry=state.curve.entry if entry is None else entry,
-            search=search if probability < self.parameters.act else None,
+            entry=state.curve.entry if before.entry is None else before.entry,
+            search=before.search if probability < self.parameters.act else None,
         )
 
     def _miss(
