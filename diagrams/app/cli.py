@@ -137,20 +137,13 @@ def run_command(
 ) -> None:
     """Run a scenario and write its results; exit status 3: stopped for good, or no contact."""
     with console.status("Loading the simulator ..."):
-        from sonoservo.diagrams.app.own_tracker import is_factory
+        from sonoservo.diagrams.app.own_tracker import without_own_tracker
         from sonoservo.diagrams.app.run import run
         from sonoservo.diagrams.app.terminal import end_run
         from sonoservo.diagrams.app.viewed_run import ViewedRun
         from sonoservo.diagrams.experiments.registry import load_scenario
 
-        # A tracker of one's own is no field of a scenario.
-        own, fields = None, []
-        for each in changes or []:
-            name, _, value = each.partition("=")
-            if name == "tracker" and is_factory(value):
-                own = value
-            else:
-                fields.append(each)
+        fields, own = without_own_tracker(changes)
         loaded = load_scenario(scenario, changes=fields, seed=seed, as_published=as_published)
     viewed = ViewedRun(log, loaded)
     folder = results.out or free_folder(f"{loaded.name}_seed{loaded.seed}")
@@ -240,6 +233,7 @@ def drive_command(
     with console.status("Loading the simulator ..."):
         from sonoservo.diagrams.app.drive import DRIVING, drive
         from sonoservo.diagrams.app.kept_runs.kept_run import refusing
+        from sonoservo.diagrams.app.own_tracker import without_own_tracker
         from sonoservo.diagrams.app.pages.pages import open_pages
         from sonoservo.diagrams.app.terminal import end_run
         from sonoservo.diagrams.app.viewed_run import ViewedRun
@@ -247,7 +241,8 @@ def drive_command(
         from sonoservo.diagrams.experiments.registry import load_scenario
         from sonoservo.diagrams.scenario import require_scenario
 
-        loaded = load_scenario(scenario, changes=changes, seed=seed)
+        fields, own = without_own_tracker(changes)
+        loaded = load_scenario(scenario, changes=fields, seed=seed)
     following = require_scenario(loaded, FollowingScenario)
     with refusing(loaded):
         following = replace(following, duration=duration)
@@ -255,7 +250,13 @@ def drive_command(
     folder = results.out or Path("out") / f"{loaded.name}_driven_seed{loaded.seed}"
     pages = open_pages(f"{loaded.name}, driven", page)
     act = partial(
-        drive, following, pages.console, meshcat=pages.meshcat, out=folder, progress=console
+        drive,
+        following,
+        pages.console,
+        meshcat=pages.meshcat,
+        tracker=own,
+        out=folder,
+        progress=console,
     )
     command = shlex.join(["sonoservo", "run", str(folder / "scenario.yaml")])
     again = f"To repeat this run: {command}"

@@ -12,6 +12,7 @@ from pydrake.systems.framework import System
 from rich.console import Console as Terminal
 
 from sonoservo.diagrams.app.kept_runs.kept_run import KeptRun, refusing
+from sonoservo.diagrams.app.own_tracker import OwnTracker, as_system
 from sonoservo.diagrams.app.pages.pacer import Pacer
 from sonoservo.diagrams.app.run import progress_bar
 from sonoservo.diagrams.app.run_result import RunResult
@@ -21,6 +22,7 @@ from sonoservo.diagrams.experiments.following_scene import (
     make_insertion,
     placed_hand,
     settings_controls,
+    tracker_events,
 )
 from sonoservo.diagrams.scenario import Scenario, require_scenario
 from sonoservo.systems.control.controller_schedule import ControllerSchedule, OperatorSettings
@@ -57,6 +59,7 @@ class DrivenExperiment(FollowingExperiment):
         console: "Console",
         meshcat: Meshcat | None = None,
         observers: Mapping[str, System] | None = None,
+        tracker: System | None = None,
     ) -> None:
         scenario = require_scenario(scenario, FollowingScenario)
         hand = placed_hand(scenario)
@@ -82,6 +85,7 @@ class DrivenExperiment(FollowingExperiment):
         super().__init__(
             still,
             meshcat,
+            tracker=tracker,
             console=console,
             observers=observers,
             film=False,
@@ -122,6 +126,7 @@ def drive(
     console: "Console",
     *,
     meshcat: Meshcat | None = None,
+    tracker: OwnTracker | None = None,
     observers: Mapping[str, System] | None = None,
     out: Path | None = None,
     begin: Callable[[], None] | None = None,
@@ -132,12 +137,13 @@ def drive(
 
     The folder gets scenario.yaml, the drive, which `run` repeats; scenario_1.yaml and so on, drives
     that were saved, abandoned by a restart, or made earlier; and the results of the run since its
-    last start, which are returned. `begin` and `progress` are those of `run`, and `show` is called
-    regularly with the simulated time in s and a status text. ConfigurationError if the scenario
-    cannot be carried out.
+    last start, which are returned. `tracker`, `begin` and `progress` are those of `run`, and `show`
+    is called regularly with the simulated time in s and a status text. ConfigurationError if the
+    scenario cannot be carried out.
     """
+    own = None if tracker is None else as_system(tracker, **tracker_events(scenario))
     with refusing(scenario):
-        experiment = DrivenExperiment(scenario, console, meshcat, observers)
+        experiment = DrivenExperiment(scenario, console, meshcat, observers, own)
     kept, bar = KeptRun(experiment, out=out), progress_bar(scenario, progress)
     shown = [each for each in (bar.show if bar else None, show) if each is not None]
 

@@ -1,6 +1,6 @@
 """Trackers of a user's own, as the benchmark takes them, in the place of the built-in ones."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TypeAlias
 
 from pydrake.common.value import Value
@@ -19,6 +19,21 @@ either."""
 def is_factory(text: str) -> bool:
     """Return True for ``module:factory``; other texts name a built-in tracker."""
     return ":" in text and not text.lstrip().startswith("{")
+
+
+def without_own_tracker(changes: Sequence[str] | None) -> tuple[list[str], str | None]:
+    """Return a scenario's changes without ``tracker=module:factory``, and that factory if any.
+
+    A tracker of one's own is no field of a scenario.
+    """
+    own, fields = None, []
+    for each in changes or []:
+        name, _, value = each.partition("=")
+        if name == "tracker" and is_factory(value):
+            own = value
+        else:
+            fields.append(each)
+    return fields, own
 
 
 def as_system(tracker: OwnTracker, *, period: float, offset: float = 0.0) -> System:

@@ -16,6 +16,7 @@ from sonoservo.diagrams.app.run_result import RunResult
 from sonoservo.systems.display.console.console import Console
 from sonoservo.systems.evaluation.log import read_log
 from sonoservo.systems.evaluation.run_log import RunLog
+from sonoservo.systems.signals import NeedleEstimate, TrackingMode
 
 CHEAP = [
     "station.plant.contact_model=point",
@@ -105,6 +106,15 @@ def test_it_leaves_what_a_run_leaves(driven):
     assert json.loads((folder / "summary.json").read_text())["force"]["rms_error_n"] is None
     np.testing.assert_array_equal(read_log(folder / "log.npz", RunLog).time, result.log.time)
     assert any("aim it when it is outside" in text for *_, text in operator.seen)
+
+
+def test_a_tracker_of_one_s_own_may_be_driven_with(console):
+    def blind(volume):
+        return NeedleEstimate(TrackingMode.SEARCHING, volume.time, volume_time=volume.time)
+
+    log = drive(cheap(1.0), console, tracker=blind).log
+    assert len(log.volume_time) > 1
+    assert set(log.volume_estimate_mode) == {"searching"}
 
 
 def test_pause_stops_time_and_none_is_made_up_for(console):
