@@ -19,17 +19,17 @@ from sonoservo.systems.files.volume_file import (
 
 
 def open_nifti(path: Path, *, frames: bool = False) -> VolumeFile:
-    """Open a NIfTI file with one volume, or with a sequence of them along its fourth axis."""
+    """Open a NIfTI file with one volume, or with a sequence of them along a further axis."""
     import nibabel  # late, as it takes a while
 
     with refusing_failures(path, "it is no NIfTI file"):
         image: Any = nibabel.load(path)
-        header, sizes = image.header, list(image.shape)
-        while len(sizes) > 4 and sizes[-1] == 1:
-            sizes.pop()
-        if len(sizes) not in (3, 4):
+        header, sizes = image.header, image.shape
+        # As ANTs writes a sequence, the fifth axis counts volumes, and the fourth is one long.
+        numbered = [axis for axis in range(3, len(sizes)) if sizes[axis] != 1]
+        if len(sizes) < 3 or len(numbered) > 1:
             raise ConfigurationError(
-                f"{path}: dim: {sizes} is not allowed; a volume has 3 axes, a sequence 4"
+                f"{path}: dim: {[*sizes]} is not allowed; a volume has 3 axes, a sequence 4"
             )
         length, duration = header.get_xyzt_units()
         unit = "" if length == "unknown" else length
@@ -38,7 +38,7 @@ def open_nifti(path: Path, *, frames: bool = False) -> VolumeFile:
         ras = np.array([-1.0, -1.0, 1.0]) * MILLIMETRES[unit]
         affine, unplaced = _affine(header)
         directions, origin = ras[:, np.newaxis] * affine[:3, :3], ras * affine[:3, 3]
-        shape, count = tuple(sizes[:3]), sizes[3] if len(sizes) == 4 else 1
+        shape, count = tuple(sizes[:3]), sizes[numbered[0]] if numbered else 1
         check_layout(path, shape, count, directions, frames=frames)
         require_voxels(path, shape)  # before any voxel is looked for
         dtype = image.get_data_dtype()
@@ -48,7 +48,7 @@ def open_nifti(path: Path, *, frames: bool = False) -> VolumeFile:
         present = path.stat().st_size * (MAX_DEFLATED if path.suffix.lower() == ".gz" else 1)
         if size > present:
             raise ConfigurationError(f"{path}: it is cut off: {size} bytes of voxels are announced")
-        step = float(header.get_zooms()[3]) if len(sizes) == 4 else 0.0
+        step = float(header.get_zooms()[numbered[0]]) if numbered else 0.0
         times = None
         if duration in SECONDS and step > 0:
             times = SECONDS[duration] * (float(header["toffset"]) + step * np.arange(count))
@@ -57,8 +57,8 @@ def open_nifti(path: Path, *, frames: bool = False) -> VolumeFile:
 
     def read(number: int) -> NDArray[Any]:
         with refusing_failures(path, "its voxels cannot be read"):
-            voxels = image.dataobj[:, :, :, number] if len(sizes) == 4 else image.dataobj
-            voxels = np.asarray(voxels).reshape(shape)
+            rest = [number if axis in numbered else 0 for axis in range(3, len(sizes))]
+            voxels = np.asarray(image.dataobj[(..., *rest)]).reshape(shape)
         return np.stack([voxels[each] for each in colours], axis=-1) if colours else voxels
 
     unmeasured = ["it states no unit of length; mm are taken"] if length == "unknown" else []

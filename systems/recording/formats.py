@@ -12,6 +12,7 @@ from sonoservo.systems.recording.dicom import open_dicom
 from sonoservo.systems.recording.meta_image import open_meta_image
 from sonoservo.systems.recording.png_folder import open_png_folder
 from sonoservo.systems.recording.tus_rec import open_tus_rec
+from sonoservo.systems.recording.volume_folder import open_volume_folder
 from sonoservo.systems.recording.zea import open_zea
 
 
@@ -40,23 +41,34 @@ FORMATS: dict[str, Callable[..., VolumeFile]] = {
     ".nii": open_nifti,
     ".nii.gz": open_nifti,
 }
-"""Openers of files, called with a path and ``frames``; a folder holds PNG images."""
+"""Openers of files, called with a path and ``frames``."""
 
 
 def open_file(path: Path, *, frames: bool = False, orientation: str = "") -> VolumeFile:
     """Open a file of volumes, or of 2D ``frames``, by its suffix, with the axes that PLUS means."""
-    what = "2D frames" if frames else "volumes"
-    if path.is_dir() and any(path.glob("*.[pP][nN][gG]")):
-        return as_plus_means(open_png_folder(path, frames=frames), orientation)
     if path.is_dir():
-        raise ConfigurationError(f"{path}: it is a folder; give a file with {what}")
+        return as_plus_means(_open_folder(path, frames=frames), orientation)
     if not path.is_file():
         raise ConfigurationError(f"{path}: there is no such file")
     if path.stat().st_size == 0:
         raise ConfigurationError(f"{path}: it is empty")
-    suffix = ".nii.gz" if path.name.lower().endswith(".nii.gz") else path.suffix.lower()
+    suffix = _suffix(path)
     if suffix not in FORMATS:
         raise ConfigurationError(
             f"{path}: this file type is not supported; use {', '.join(FORMATS)}"
         )
     return as_plus_means(FORMATS[suffix](path, frames=frames), orientation)
+
+
+def _suffix(path: Path) -> str:
+    return ".nii.gz" if path.name.lower().endswith(".nii.gz") else path.suffix.lower()
+
+
+def _open_folder(path: Path, *, frames: bool) -> VolumeFile:
+    if any(path.glob("*.[pP][nN][gG]")):
+        return open_png_folder(path, frames=frames)
+    files = [] if frames else [each for each in path.iterdir() if _suffix(each) in FORMATS]
+    if not files:
+        held = "PNG images" if frames else f"volumes ({', '.join(FORMATS)})"
+        raise ConfigurationError(f"{path}: it is a folder without {held}")
+    return open_volume_folder(path, files, lambda each: FORMATS[_suffix(each)](each))

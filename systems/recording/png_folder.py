@@ -1,6 +1,5 @@
 """Reader of a folder of PNG images with a table of their poses."""
 
-import re
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +10,7 @@ from sonoservo.systems.files.refusals import ConfigurationError, require_extra
 from sonoservo.systems.files.volume_file import VolumeFile, check_layout, require_frames
 from sonoservo.systems.recording.grey_levels import as_frame, grey_or_colours
 from sonoservo.systems.recording.pose_table import read_pose_table
+from sonoservo.systems.recording.volume_folder import natural_order
 
 TABLE = "poses.csv"
 """Name of the table, if a folder holds several."""
@@ -19,10 +19,7 @@ TABLE = "poses.csv"
 def open_png_folder(path: Path, *, frames: bool = False) -> VolumeFile:
     """Open a folder of PNG images in the order of their names, 9 before 10, with a pose table."""
     image = require_extra("PIL.Image", "images", path)
-    files = [each for each in path.iterdir() if each.suffix.lower() == ".png"]
-    files.sort(
-        key=lambda each: [int(n) if n.isdigit() else n for n in re.split(r"(\d+)", each.name)]
-    )
+    files = natural_order(each for each in path.iterdir() if each.suffix.lower() == ".png")
     if not files:
         raise ConfigurationError(f"{path}: it is a folder without PNG images")
     require_frames(path, frames, f"{len(files)} PNG images")

@@ -310,6 +310,34 @@ def test_nifti_gives_the_volumes_that_nrrd_gives(tmp_path, name):
         Recording(tmp_path / name)
 
 
+def test_a_file_for_each_volume_is_a_sequence(tmp_path):
+    """Files are taken in the order of their numbers, with the poses that their headers state."""
+    rng = np.random.default_rng(0)
+    levels = rng.integers(1, 256, (11, 9, 8, 7), dtype=np.uint8)
+    folder = tmp_path / "volumes"
+    folder.mkdir()
+    header = {"space": "left-posterior-superior", "space directions": np.diag([0.6, 0.5, 0.7])}
+    for number, each in enumerate(levels):
+        pose = f"1 0 0 {number} 0 1 0 0 0 0 1 0 0 0 0 1"
+        fields = {"ProbeToTrackerTransform": pose, "ProbeToTrackerTransformStatus": "OK"}
+        nrrd.write(str(folder / f"v{number}.nrrd"), each, header | fields)
+    read = Recording(folder, volume_rate=4)
+    assert len(read) == 11
+    np.testing.assert_allclose(read[10].time, 2.5)
+    np.testing.assert_array_equal(
+        np.sort(read[10].intensities, axis=None), np.sort(levels[10], None)
+    )
+    np.testing.assert_allclose(
+        read[10].X_WP.translation() - read[0].X_WP.translation(), [0.01, 0, 0]
+    )
+    nrrd.write(str(folder / "v11.nrrd"), levels[0, :-1], header)
+    with pytest.raises(ConfigurationError, match=r"v11.nrrd: size, spacing, axes or channels"):
+        Recording(folder, volume_rate=4)
+    sequence = np.moveaxis(levels, 0, -1)[..., np.newaxis, :]
+    nibabel.save(nibabel.Nifti1Image(sequence, np.eye(4)), tmp_path / "ants.nii")
+    assert len(Recording(tmp_path / "ants.nii", volume_rate=4)) == 11
+
+
 def test_a_missing_package_is_named_with_its_extra(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "h5py", None)
     (tmp_path / "a.h5").write_bytes(b"x")

@@ -1,0 +1,63 @@
+"""Reader of a folder with a file for each volume, as many laboratories keep them."""
+
+import re
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from sonoservo.systems.files.plus_fields import FRAME_FIELDS
+from sonoservo.systems.files.refusals import ConfigurationError
+from sonoservo.systems.files.volume_file import MAX_FILES, VolumeFile
+
+
+def natural_order(files: Iterable[Path]) -> list[Path]:
+    """Return files in the order of their names, 9 before 10."""
+    return sorted(
+        files,
+        key=lambda each: [int(n) if n.isdigit() else n for n in re.split(r"(\d+)", each.name)],
+    )
+
+
+def open_volume_folder(
+    path: Path, files: Sequence[Path], open_one: Callable[[Path], VolumeFile]
+) -> VolumeFile:
+    """Open files of one volume each as a sequence; their grids and kinds of voxels must agree.
+
+    Transforms, time and status in the header of a file are those of its volume.
+    """
+    if len(files) > MAX_FILES:
+        raise ConfigurationError(f"{path}: {len(files)} files; at most {MAX_FILES} are allowed")
+    volumes = [open_one(each) for each in natural_order(files)]
+    first = volumes[0]
+    fields, times = dict(first.fields), []
+    for number, each in enumerate(volumes):
+        if each.count != 1:
+            raise ConfigurationError(
+                f"{each.path}: {each.count} volumes; in a folder, each file holds one"
+            )
+        same = (each.shape, each.channels, each.void) == (first.shape, first.channels, first.void)
+        if not same or not np.allclose(each.directions, first.directions, rtol=1e-6):
+            raise ConfigurationError(
+                f"{each.path}: size, spacing, axes or channels differ from those of {first.path}"
+            )
+        if not np.allclose(each.origin, first.origin, atol=1e-3):
+            raise ConfigurationError(
+                f"{each.path}: its origin {each.origin.tolist()} mm differs from that of "
+                f"{first.path}; poses belong into the fields of transforms"
+            )
+        for name, value in each.fields.items():
+            if name in FRAME_FIELDS or name.endswith(("Transform", "TransformStatus")):
+                fields.pop(name, None)
+                fields[f"Seq_Frame{number:04d}_{name}"] = value
+        times.append(np.nan if each.times is None else float(each.times[0]))
+    return replace(
+        first,
+        path=path,
+        count=len(volumes),
+        read=lambda number: volumes[number].read(0),
+        times=None if np.isnan(times).any() else np.array(times),
+        fields=fields,
+        notes=tuple(dict.fromkeys(note for each in volumes for note in each.notes)),
+    )
