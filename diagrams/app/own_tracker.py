@@ -88,7 +88,8 @@ class _FunctionTracker(LeafSystem):
         newest = context.get_abstract_state(self._newest).get_value()
         if not isinstance(volume, Volume) or volume is newest:
             return EventStatus.DidNothing()
-        estimate = checked(self._step, volume, self._name)
+        with refusing_failures(self._name, "this tracker of yours failed (--debug says where)"):
+            estimate = checked(self._step, volume, self._name)
         state.get_mutable_abstract_state(self._newest).set_value(volume)
         state.get_mutable_abstract_state(self._estimate).set_value(estimate)
         return EventStatus.Succeeded()

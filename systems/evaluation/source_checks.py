@@ -58,6 +58,10 @@ _DISPLACED, _TURNED_DEG = 2e-3, 2.0
 """Error of a calibration, in m and deg, that shows in a needle's place."""
 
 
+# Share of a sweep's way that leads out of the image's plane, below which it sweeps none: half, as
+# of a probe that moves at 30 deg to its image.
+_OUT_OF_PLANE = 0.5
+
 _TRACKER = "look at the tracker: is the tool in its sight?"
 
 
@@ -161,6 +165,15 @@ class _Fault(Enum):
                    "the field of view is widest near the probe and narrows with depth, as if the "
                    "sound ran the other way",
                    "if the picture stands on its head, give --depth or mend the axes")  # fmt: skip
+    SIGNED = (Check.CONTENT, Grade.DOUBTFUL,
+              "its numbers are signed bytes, from -128 to 127; if its program had unsigned ones, "
+              "all above 127 are dark now",
+              "let the program write unsigned bytes (uint8)")  # fmt: skip
+    IN_PLANE = (Check.MOTION, Grade.DOUBTFUL,
+                "the frames move in their own plane: only {share:.0f} % of their way leads out of "
+                "it",
+                "is a transform the wrong way round, From where To belongs? Else sweep across "
+                "the image")  # fmt: skip
     HOLES = (Check.CONTENT, Grade.DOUBTFUL,
              "{count} of {read} volumes that were read show less of the box than the others, such "
              "as volume {number}: {share:.0f} % instead of {usual:.0f} %",
@@ -415,6 +428,25 @@ def check_errors(errors: PoseErrors | NotFound) -> list[Finding]:
     rotated = np.degrees(turned - turned_half) > _TURNED_DEG
     wrong = late or displaced or rotated
     return [_Fault.POSES(text=text) if wrong else _fine(Check.DELAY, text)]
+
+
+def check_numbers(voxels: NDArray[Any]) -> list[Finding]:
+    """Check the kind of a volume's numbers as the file holds them."""
+    return [_Fault.SIGNED()] if voxels.dtype == np.int8 else []
+
+
+def check_across(sweeps: Sequence[Sequence[PosedFrame]]) -> list[Finding]:
+    """Check that the corners of frames leave the image's plane from a sweep's start to its end."""
+    out, way = 0.0, 0.0
+    for sweep in sweeps:
+        first, last = sweep[0].X_WI, sweep[-1].X_WI
+        i, j = sweep[0].pixels.shape[:2]
+        corners = np.array([[0, 0, 0, 1], [i, 0, 0, 1], [0, j, 0, 1], [i, j, 0, 1]])
+        moved = (corners @ (last - first).T)[:, :3]
+        normal = np.cross(first[:3, 0], first[:3, 1])
+        out += float(np.abs(moved @ normal).sum() / np.linalg.norm(normal))
+        way += float(np.linalg.norm(moved, axis=1).sum())
+    return [_Fault.IN_PLANE(share=100 * out / way)] if out < _OUT_OF_PLANE * way else []
 
 
 def check_delay(found: tuple[float, float] | NotFound) -> list[Finding]:

@@ -32,7 +32,7 @@ def model_file(folder: str, name: str) -> Path:
     own = Path(name)
     if own.suffix and not own.is_file():
         raise FileNotFoundError(f"{folder.removesuffix('s')}: there is no file {name}")
-    if own.suffix and own.suffix not in (".yaml", ".yml"):
+    if own.suffix and own.suffix not in (".yaml", ".yml", ".json"):  # JSON is YAML as well
         own, data = own.with_name(own.name.split(".")[0] + ".yaml"), own
         if not own.is_file():
             raise FileNotFoundError(

@@ -56,6 +56,8 @@ class Volume(Immutable):
     """Flags of the elements that were seen, if the volume's source knows them; see `seen`."""
 
     def __post_init__(self) -> None:
+        pose = type(self.X_WP).__name__
+        require(isinstance(self.X_WP, RigidTransform), "X_WP", pose, "a RigidTransform of a matrix")
         array = np.asarray(self.intensities)
         dtype = np.uint8 if array.dtype == np.uint8 else np.float32
         array = read_only(array, "intensities", (None, None, None), dtype)

@@ -61,16 +61,18 @@ class VolumePlausibilityParameters:
 
 def is_noise(volume: Volume) -> bool:
     """Return True if neighbouring voxels are uncorrelated, as in no ultrasound image."""
-    if not volume.seen.any():
+    seen = volume.seen
+    if not seen.any():
         return False
-    levels = np.where(volume.seen, volume.intensities, np.nan).astype(np.float64)
-    levels -= np.nanmean(levels)
-    variance = np.nanmean(levels**2)
-    together = [
-        np.nanmean(np.take(levels, range(1, n), axis) * np.take(levels, range(n - 1), axis))
-        for axis, n in enumerate(levels.shape)
-    ]
-    return bool(variance > 0 and np.nanmax(together) < _UNRELATED * variance)
+    levels = volume.intensities - np.mean(volume.intensities[seen], dtype=np.float64)
+    variance, together = float(np.mean(levels[seen] ** 2)), []
+    for axis, n in enumerate(levels.shape):
+        later, earlier = range(1, n), range(n - 1)
+        both = np.take(seen, later, axis) & np.take(seen, earlier, axis)
+        if both.any():
+            product = np.take(levels, later, axis) * np.take(levels, earlier, axis)
+            together.append(float(product[both].mean()))
+    return bool(together and variance > 0 and max(together) < _UNRELATED * variance)
 
 
 def implausible(
@@ -92,6 +94,8 @@ def implausible(
     sample = volume.intensities[::_STRIDE, ::_STRIDE, ::_STRIDE]
     if sample.min() == sample.max() and volume.intensities.min() == volume.intensities.max():
         return "it is blank: all its voxels are equal"
+    if sample.max() <= 1 and volume.intensities.max() <= 1:
+        return "no grey level is above 1; they go from 0 to 255"
     if np.sum(sample >= _WHITE) > parameters.max_white * np.count_nonzero(sample):
         return "it is white: its voxels are saturated"
     confirmed = refused is not None and 0 < volume.time - refused.time <= parameters.max_gap

@@ -24,10 +24,12 @@ from sonoservo.systems.evaluation.source_checks import (
     Check,
     Finding,
     Grade,
+    check_across,
     check_delay,
     check_errors,
     check_matrices,
     check_motion,
+    check_numbers,
     check_seen,
     check_spacing,
     check_times,
@@ -236,7 +238,7 @@ def _check_recording(checked: CheckedSource, recording: Recording, depth: str) -
             checked.show(volume, (recording.X_WL(middle).inverse() @ volume.X_WP).rotation())
         if number in calibrated:
             calibration = calibration.seen(volume)
-    checked.findings += check_seen(shares)
+    checked.findings += [*check_numbers(recording.file.read(0)), *check_seen(shares)]
     if calibrates:
         checked.findings += check_errors(calibration.errors)
 
@@ -252,8 +254,8 @@ def _check_frames(checked: CheckedSource, volumes: ReconstructedRecording) -> No
     volume = volumes[len(volumes) // 2]
     checked.note(Check.GRID, f"sweeps, each of which makes a volume: {len(volumes)}")
     checked.show(volume, volume.X_WP.rotation())
-    few = range(min(len(volumes), _SWEEPS))
-    checked.findings += check_delay(sweep_delay([volumes.sweep(number) for number in few]))
+    sweeps = [volumes.sweep(number) for number in range(min(len(volumes), _SWEEPS))]
+    checked.findings += [*check_across(sweeps), *check_delay(sweep_delay(sweeps))]
 
 
 def _letter(axis: Any) -> str:

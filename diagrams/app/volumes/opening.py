@@ -114,8 +114,10 @@ class ReconstructedRecording:
         sweeps.append(splitter.rest())
         found = [[numbers[frame.time] for frame in sweep] for sweep in sweeps if sweep]
         if not found:
+            moved = 1e3 * np.linalg.norm(np.ptp(np.array(self._frames.X_WI)[:, :3, 3], axis=0))
             raise ConfigurationError(
-                f"{self.path}: the probe hardly moves, so no volume can be reconstructed"
+                f"{self.path}: the probe moves over {moved:.2g} mm, too little for a volume; are "
+                "positions in mm?"
             )
         return found
 

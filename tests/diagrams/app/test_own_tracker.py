@@ -29,6 +29,9 @@ def make():
 def wrong():
     return lambda volume: 5
 
+def failing():
+    return lambda volume: 1 / 0
+
 def plain(volume):
     return 5
 """
@@ -77,6 +80,8 @@ def test_a_function_runs_and_tracks_alike_whether_given_itself_or_by_its_factory
 def test_what_is_no_tracker_is_refused(mine, capsys):
     with pytest.raises(ConfigurationError, match="expected a NeedleEstimate"):
         run("chatelain2013_fig5", changes=SHORT, tracker="own_tracker_of_a_test:wrong")
+    with pytest.raises(ConfigurationError, match="tracker of yours failed.*division by zero"):
+        run("chatelain2013_fig5", changes=SHORT, tracker="own_tracker_of_a_test:failing")
     with pytest.raises(ConfigurationError, match="plain: it is called without arguments"):
         run("chatelain2013_fig5", changes=SHORT, tracker="own_tracker_of_a_test:plain")
     with pytest.raises(ConfigurationError, match="tracker: a value of type int"):

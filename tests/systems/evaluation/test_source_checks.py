@@ -10,10 +10,12 @@ from sonoservo.systems.calibration.pose_errors import PoseErrors
 from sonoservo.systems.evaluation.source_checks import (
     Check,
     Grade,
+    check_across,
     check_delay,
     check_errors,
     check_matrices,
     check_motion,
+    check_numbers,
     check_seen,
     check_spacing,
     check_times,
@@ -209,6 +211,19 @@ def test_delay_of_poses_is_found_within_its_interval(delay):
     assert abs(found - delay) < max(4 * std, 0.01)
     (finding,) = check_delay((found, std))
     assert (finding.grade is Grade.DOUBTFUL) == (abs(delay) > 0.015)
+
+
+def test_frames_that_slide_in_their_own_plane_are_told():
+    across = sweeps(0.0, count=1)
+    assert check_across(across) == []
+    turned = np.array([[0, 0, 1, 0], [0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 0, 1.0]])
+    within = [[replace(each, X_WI=each.X_WI @ turned) for each in across[0]]]
+    assert worst(check_across(within))[1].endswith("only 0 % of their way leads out of it")
+
+
+def test_signed_bytes_are_told():
+    assert check_numbers(np.zeros(3, np.uint8)) == check_numbers(np.zeros(3, np.int16)) == []
+    assert check_numbers(np.zeros(3, np.int8))[0].grade is Grade.DOUBTFUL
 
 
 def test_a_single_pass_tells_no_delay():

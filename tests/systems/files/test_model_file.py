@@ -4,7 +4,7 @@ import os
 
 import pytest
 
-from sonoservo.systems.files.model_file import read_once
+from sonoservo.systems.files.model_file import model_file, read_once
 
 
 @pytest.fixture
@@ -45,3 +45,10 @@ def test_failures_are_not_remembered(tmp_path, reader):
         reader(path)
     path.write_text("there now")
     assert reader(path)[1] == "there now"
+
+
+def test_a_model_in_json_is_itself_and_no_file_beside_it(tmp_path):
+    own = tmp_path / "probe.json"
+    for name in ("probe.json", "probe.yaml"):
+        (tmp_path / name).write_text("{}")
+    assert model_file("probes", str(own)) == own
