@@ -4,6 +4,7 @@ The format is simple enough to read directly. SimpleITK 2.5 crashes with a segme
 header such as ``NDims = -1``; the tests use it as a reference.
 """
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -89,7 +90,7 @@ def _describe(
     if fields.get("ObjectType", "Image").lower() != "image":
         raise ConfigurationError(f"{path}: ObjectType: {fields['ObjectType']!r} is no Image")
     stated = n
-    if n == 3 and sum(key.endswith("_Timestamp") for key in fields) > 1:
+    if n == 3 and any(re.match("Seq_Frame0*1_", key) for key in fields):
         sizes = [*sizes[:2], 1, sizes[2]]  # frames, one after the other
     nx, ny, nz, count = (*sizes, 1)[:4]
     kind, channels = fields.get("ElementType", ""), _channels(path, fields)
