@@ -287,7 +287,10 @@ def locate_command(
         int, typer.Option(help="Number of the volume, from 0, if the file has several.")
     ] = 0,
 ) -> None:
-    """Find the needle in one volume, in the file's coordinates; exit with 1 if there is none."""
+    """Find the needle in one volume; exit with 1 if there is none.
+
+    Positions are in LPS, in mm, also of a file in RAS; of frames, in the frame of their poses.
+    """
     import numpy as np
 
     from sonoservo.diagrams.app.volumes.locate import locate_in_recording
@@ -308,6 +311,10 @@ def locate_command(
         say(f"{name}: {shown}")
     write_printed(results.json_path, found)
     if not found["found"]:
+        if len(opened) > 1:
+            say_notes(
+                f"the file has {len(opened)} volumes; --number 0 to {len(opened) - 1} chooses one"
+            )
         raise typer.Exit(1)
     say_notes(
         "one volume cannot tell a guide wire or another needle from it; `track` does by motion"
