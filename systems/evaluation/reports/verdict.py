@@ -7,6 +7,7 @@ from typing import Any, Literal
 
 from sonoservo.systems.evaluation.labels import look_up
 from sonoservo.systems.evaluation.success import RunOutcome, run_outcome
+from sonoservo.systems.files.counting import counted
 from sonoservo.systems.signals.needle_estimate import TrackingMode
 
 
@@ -75,7 +76,7 @@ def found_words(rows: Sequence[Mapping[str, Any]]) -> str:
     tip = ", ".join(f"{last[f'tip_{axis}_mm']:.1f}" for axis in "lps")
     return (
         f"A needle was found at {first['time_s']:.2f} s and tracked in {len(tracked)} of "
-        f"{len(rows)} volume{'s' * (len(rows) > 1)}; its tip was last at ({tip}) mm in LPS"
+        f"{counted(len(rows), 'volume')}; its tip was last at ({tip}) mm in LPS"
     )
 
 
