@@ -153,9 +153,8 @@ def plot_planes(pictures: list[VolumePictures]) -> Figure:
             empty.set_visible(False)
         for row, picture in enumerate(pictured.planes):
             picture.draw(axes[row, column])
+            axes[row, column].set_ylabel(picture.down, fontsize=7)
         axes[0, column].set_title(f"{pictured.time:.1f} s, {pictured.mode}", fontsize=9)
-    for row, picture in enumerate(pictures[0].planes if pictures else ()):
-        axes[row, 0].set_ylabel(picture.down, fontsize=9)
     return figure
 
 
