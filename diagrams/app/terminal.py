@@ -19,6 +19,7 @@ from sonoservo.systems.evaluation.labels import LABELS, look_up, recording_label
 from sonoservo.systems.evaluation.source_checks import Finding, Grade, sort_findings
 from sonoservo.systems.evaluation.success import RunOutcome, run_outcome
 from sonoservo.systems.evaluation.table import Table
+from sonoservo.systems.files.counting import counted
 
 
 def end_run(result: RunResult) -> None:
@@ -107,14 +108,14 @@ def run_progress(console: Console, scenario: Scenario) -> Progress:
 
 def volume_progress(console: Console, act: str, name: str, count: int) -> Progress:
     """Return the progress bar of what acts on volumes; it is shown how many are done."""
-    begun = f"{act} {name}, {count} volume{'s' * (count > 1)}"
+    begun = f"{act} {name}, {counted(count, 'volume')}"
     return Progress(console, name, count, begun=begun, counted="volume {} of {}")
 
 
 def mode_words(summary: Mapping[str, Any]) -> str:
     """Return the numbers of volumes by mode in words, for a page."""
-    counted = ", ".join(f"{mode} {count}" for mode, count in summary["modes"].items())
-    return f"{summary['volumes']} volumes: {counted}"
+    modes = ", ".join(f"{mode} {count}" for mode, count in summary["modes"].items())
+    return f"{counted(summary['volumes'], 'volume')}: {modes}"
 
 
 def figures_table(
@@ -147,7 +148,7 @@ def live_table(summary: Mapping[str, Any]) -> TerminalTable:
     left_out = summary["left_out_reasons"].items()
     rows = [(f"left out: {reason}", count) for reason, count in left_out]
     for mode, count in summary["modes"].items():
-        rows.append((f"volumes after which the mode was {mode}", count))
+        rows.append((f"volumes in the mode {mode}", count))
     return figures_table(summary, "this stream", _LIVE_ROWS, *rows)
 
 

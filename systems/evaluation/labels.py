@@ -53,7 +53,7 @@ MORE_LABELS = {
 
 _RECORDING = {
     "volumes": "volumes",
-    "skipped": "left out, as the file says or for want of a pose or time",
+    "skipped": "left out: marked as invalid, or without a pose or time",
 }
 
 _SECTIONS = {
@@ -80,7 +80,7 @@ def look_up(summary: Mapping[str, Any], path: str) -> Any:
 
 def recording_labels(modes: Iterable[str]) -> dict[str, str]:
     """Return the labels of a tracked recording's figures."""
-    after = {f"modes.{mode}": f"volumes after which the mode was {mode}" for mode in modes}
+    after = {f"modes.{mode}": f"volumes in the mode {mode}" for mode in modes}
     return _RECORDING | after
 
 

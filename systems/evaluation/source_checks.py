@@ -118,10 +118,10 @@ class _Fault(Enum):
     JITTER = (Check.RATE, Grade.DOUBTFUL, "the time between two {what} varies by {share:.0f} %",
               "let time stamps be those of acquisition, not of arrival or of writing")  # fmt: skip
     GAPS = (Check.RATE, Grade.DOUBTFUL,
-            "gaps: {gaps}, the longest {longest:.3g} s; about {missing} {what} are missing",
+            "gaps: {gaps}, the longest {longest:.3g} s; missing {what}: about {missing}",
             "acquire at a rate that disk and network keep up with")  # fmt: skip
     CLOCK = (Check.CLOCK, Grade.DOUBTFUL,
-             "{odd} time stamps are missing, repeated or run back; these {what} are left out",
+             "time stamps missing, repeated or running back: {odd}; such {what} are left out",
              "look at the clock of the program that acquires them")  # fmt: skip
     NO_MATRIX = (Check.MATRIX, Grade.WRONG, "{name}: no matrix is valid", _TRACKER)
     EMPTY_AXIS = (Check.MATRIX, Grade.WRONG, "{name}: a matrix has an empty axis", _TRACKER)
@@ -137,13 +137,13 @@ class _Fault(Enum):
                    "{said}, as if nobody had calibrated them",
                    "calibrate ImageToProbe")  # fmt: skip
     LOST_POSES = (Check.MOTION, Grade.DOUBTFUL,
-                  "{name}: {lost} of {count} poses are missing or marked invalid",
+                  "{name}: poses missing or marked invalid: {lost} of {count}",
                   "keep the probe in the tracker's sight")  # fmt: skip
     REPEATED = (Check.MOTION, Grade.DOUBTFUL,
                 "{name}: {share:.0f} % of the poses repeat the one before",
                 "let the tracker measure at least as often as images are taken")  # fmt: skip
     JUMPS = (Check.MOTION, Grade.DOUBTFUL,
-             "{name} jumps {jumps} times, by up to {most:.3g} mm, faster than 1 m/s",
+             "{name} jumps faster than 1 m/s: {jumps} x, by up to {most:.3g} mm",
              _TRACKER)  # fmt: skip
     UNIT_SPACING = (Check.SPACING, Grade.DOUBTFUL,
                     "{shown} mm, which programs write that do not know it",

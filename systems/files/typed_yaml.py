@@ -207,9 +207,9 @@ class _Loader:
         """Return a dataclass, or one of Drake's schema classes, with the fields of a mapping."""
         if isinstance(value, Tagged):
             return value
-        if not isinstance(value, Mapping):
-            self._refuse(path, value, "a mapping")
         fields, prefix = _fields(schema), f"{path}." if path else ""
+        if not isinstance(value, Mapping):
+            self._refuse(path, value, f"a mapping with the fields {', '.join(sorted(fields))}")
         default = schema() if default is None else default
         made = {}
         for key, item in value.items():

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from sonoservo.systems.files.counting import counted
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.volume_file import MAX_POSITION, number_or_nan
 from sonoservo.systems.recording.transform_chain import TransformChain
@@ -39,7 +40,7 @@ class ValidItems(Immutable):
             for reason, numbers in self.left_out.items()
         )
         total = sum(map(len, self.left_out.values()))
-        return (f"left out {total} {what}s: {'; '.join(reasons)}",)
+        return (f"left out {counted(total, what)}: {'; '.join(reasons)}",)
 
 
 def choose_items(

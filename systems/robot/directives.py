@@ -1,5 +1,6 @@
 """Drake model directives, with errors that name the directive, and the motors of a model."""
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -68,7 +69,11 @@ def add_directives(
     try:
         ProcessModelDirectives(ModelDirectives(directives=directives), parser)
     except RuntimeError as error:
-        raise ValueError(f"directives: {' '.join(str(error).split())}") from error
+        said = " ".join(str(error).split())
+        unknown = re.search(r"unknown package '(.+?)'", said)
+        if unknown and packages is not None:
+            said += f"; give its folder in the YAML file: packages: {{{unknown[1]}: path/of/it}}"
+        raise ValueError(f"directives: {said}") from error
 
 
 def motors(plant: MultibodyPlant, instance: ModelInstanceIndex) -> list[JointActuator]:

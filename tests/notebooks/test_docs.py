@@ -15,9 +15,11 @@ from sonoservo.diagrams.app.cli import app
 from sonoservo.diagrams.experiments import registry
 from sonoservo.diagrams.experiments.registry import EXPERIMENTS, experiment_class, list_scenarios
 from sonoservo.diagrams.studies.cluster.opening import read_job_queue
+from sonoservo.models import model_path
 from sonoservo.systems.files.field_meanings import field_rows
 from sonoservo.systems.files.typed_yaml import load_typed, read_yaml
 from sonoservo.systems.files.writing import write_atomically
+from sonoservo.systems.robot.arm import load_arm
 from sonoservo.systems.ultrasound.simulation.anatomy.anatomies import LabelMapAnatomy
 
 ROOT = Path(__file__).parents[2]
@@ -166,6 +168,10 @@ def test_yaml_of_the_pages_is_read(path, tmp_path):
             queue = tmp_path / "queue.yaml"
             queue.write_text(block)
             assert read_job_queue(queue).jobs == data["jobs"]
+        elif "directives" in data:
+            (tmp_path / "mine.yaml").write_text(block)
+            (tmp_path / "mine.urdf").write_text(model_path("robots/ur5e.urdf").read_text())
+            assert load_arm(str(tmp_path / "mine.yaml")).servo.p
         elif "tissue" in data:
             data = {name: data["tissue"]["anatomy"][name] for name in ("kind", "top", "labels")}
             assert load_typed(LabelMapAnatomy, data, str(path)).labels

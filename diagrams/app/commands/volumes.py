@@ -28,6 +28,7 @@ from sonoservo.diagrams.app.options import (
     say_report,
     write_printed,
 )
+from sonoservo.systems.files.counting import counted
 from sonoservo.systems.files.refusals import ConfigurationError
 
 if TYPE_CHECKING:
@@ -249,7 +250,7 @@ def bridge_command(
             with opened(target, say) as link:
                 await_peers(link, wait_for)
                 summary = play_live(recording, link, speed=speed)
-            say(f"{summary['volumes']} volumes sent")
+            say(f"{counted(summary['volumes'], 'volume')} sent")
         else:
             reading.refuse_for_streams()
             with live_source(parse_address(source), reading, say, keep=QUEUE) as live:
@@ -258,7 +259,7 @@ def bridge_command(
                     say(line)
             reasons = summary["left_out_reasons"].items()
             left_out = "".join(f", {count} left out ({why})" for why, count in reasons)
-            done = f"{summary['volumes']} volumes recorded, {summary['dropped']} dropped"
+            done = f"{counted(summary['volumes'], 'volume')} recorded, {summary['dropped']} dropped"
             say(f"{done}{left_out}" + (f": {target}" if summary["recording"] else ""))
     write_printed(results.json_path, summary)
     _end_stream(summary)

@@ -79,13 +79,15 @@ class Comparison:
 
     def table(self) -> TerminalTable:
         """Return the differences and the figures, for a terminal."""
-        changes = [list(map(Strong, [row["path"], *self._values(row)])) for row in self.changes()]
-        labels = self.presenter.labels
+        changes = [[row["path"], *self._values(row)] for row in self.changes()]
+        labels, empty = self.presenter.labels, [""] * len(self.names)
         rows = [[labels[path], *map(cell_text, each)] for path, each in self._known().items()]
-        caption = "Above: what differs between the scenarios." if changes else ""
-        table = Table(["quantity", *self.names], [*changes, *rows]).terminal(
-            " and ".join(self.names), caption or "The scenarios do not differ.", widest=None
+        differ = "What differs between the scenarios" if changes else "The scenarios do not differ"
+        heads = [[Strong(each), *empty] for each in (differ, "Figures")]
+        table = Table(["", *self.names], [heads[0], *changes, heads[1], *rows]).terminal(
+            " and ".join(self.names), widest=None
         )
+        table.rows[len(changes)].end_section = True
         for column in table.columns:  # names of fields are long
             column.overflow = "fold"
         return table

@@ -90,9 +90,10 @@ def read_explained_run(folder: Path) -> ExplainedRun:
     if not folder.is_dir():
         raise ConfigurationError(f"there is no folder {folder}; make it: {make}")
     if not (folder / FOLDER).is_dir():
-        raise ConfigurationError(
-            f"{folder} has no explanations; repeat the run with --explain ({make})"
-        )
+        scenario = folder / "scenario.yaml"
+        if scenario.is_file():
+            make = f"sonoservo run {shlex.quote(str(scenario))} --explain"
+        raise ConfigurationError(f"{folder} has no explanations; repeat the run: {make}")
     with refusing_values():
         kept = read_explanations(folder)
         log = read_log(folder / "log.npz", RunLog) if (folder / "log.npz").is_file() else None

@@ -39,6 +39,7 @@ from sonoservo.systems.evaluation.source_checks import (
     sort_findings,
     sweep_delay,
 )
+from sonoservo.systems.files.counting import counted
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.volume_file import HoldsFramesError, VolumeFile
 from sonoservo.systems.live.connection.address import Address
@@ -205,13 +206,12 @@ def _check_header(file: VolumeFile, times: Any, what: str) -> list[Finding]:
 def _check_recording(checked: CheckedSource, recording: Recording, depth: str) -> None:
     file = recording.file
     size = " x ".join(map(str, file.shape))
-    volumes = "1 volume" if file.count == 1 else f"{file.count} volumes"
     steps = np.linalg.norm(file.directions, axis=0)
     box = " x ".join(f"{each:.0f}" for each in steps * (np.array(file.shape) - 1))
-    checked.note(Check.KIND, f"{volumes} of {size} voxels, {box} mm")
+    checked.note(Check.KIND, f"{counted(file.count, 'volume')} of {size} voxels, {box} mm")
     if recording.skipped:
-        text = f"{recording.skipped} volumes are marked as invalid, or have no pose or time"
-        advice = "they are left out; look at the tracker and the clock"
+        text = f"{counted(recording.skipped, 'volume')} marked as invalid, or without pose or time"
+        advice = "these are left out; look at the tracker and the clock"
         checked.note(Check.LEFT_OUT, text, Grade.DOUBTFUL, advice)
     axes = ", ".join(_letter(axis) for axis in file.directions.T)
     hand = (
@@ -247,8 +247,8 @@ def _check_frames(checked: CheckedSource, volumes: ReconstructedRecording) -> No
     file = volumes.file
     checked.note(Check.KIND, f"{file.count} 2D frames of {file.shape[0]} x {file.shape[1]} pixels")
     if volumes.skipped:
-        text = f"{volumes.skipped} frames are marked as invalid, or have no pose or time"
-        advice = "they are left out; keep the probe in the tracker's sight"
+        text = f"{counted(volumes.skipped, 'frame')} marked as invalid, or without pose or time"
+        advice = "these are left out; keep the probe in the tracker's sight"
         checked.note(Check.LEFT_OUT, text, Grade.DOUBTFUL, advice)
     checked.findings += _check_header(file, volumes.frame_times, "frames")
     volume = volumes[len(volumes) // 2]
@@ -334,12 +334,12 @@ def check_stream(
     left_out = Counter(record.matcher.left_out)
     for why, count in left_out.items():
         checked.note(
-            Check.LEFT_OUT, f"{count} images: {why.value}", Grade.DOUBTFUL,
+            Check.LEFT_OUT, f"{counted(count, 'image')}: {why.value}", Grade.DOUBTFUL,
             "look at poses and clocks; --poses names another transform, --clock-offset states how "
             "far the clocks are apart",
         )  # fmt: skip
     if record.link.refused:
-        text = f"{record.link.refused} messages are damaged, or make no sense"
+        text = f"{counted(record.link.refused, 'message')} damaged, or without sense"
         checked.note(Check.LEFT_OUT, text, Grade.WRONG, "look at the program that sends them")
     for (name, kind), stamps in sorted(record.stamps.items()):
         if kind in ("image", "pose"):

@@ -38,7 +38,7 @@ from sonoservo.systems.evaluation.reports.track_plots import (
     plot_planes,
     plot_tip,
 )
-from sonoservo.systems.evaluation.reports.verdict import recording_verdict
+from sonoservo.systems.evaluation.reports.verdict import found_words, recording_verdict
 from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.evaluation.run_logger import visible_length
 from sonoservo.systems.files.refusals import ConfigurationError
@@ -46,7 +46,7 @@ from sonoservo.systems.files.typed_yaml import suggest
 from sonoservo.systems.files.writing import Unwritten, claim_folder, write_atomically, write_json
 from sonoservo.systems.recording.side_files import TRUTH, Truth, read_truth, side_path
 from sonoservo.systems.signals.needle import Needle
-from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
+from sonoservo.systems.signals.needle_estimate import NeedleEstimate
 from sonoservo.systems.signals.volume import Volume
 
 if TYPE_CHECKING:
@@ -77,16 +77,8 @@ class TrackedRecording(RunResult):
 
     @property
     def found(self) -> str:
-        """When a needle was found, for how long it was tracked and where its tip was last."""
-        tracked = [row for row in self.rows if row["mode"] == TrackingMode.TRACKING]
-        if not tracked:
-            return "No needle was found."
-        first, last = tracked[0], tracked[-1]
-        tip = ", ".join(f"{last[f'tip_{axis}_mm']:.1f}" for axis in "lps")
-        return (
-            f"A needle was found at {first['time_s']:.2f} s and tracked in {len(tracked)} of "
-            f"{len(self.rows)} volumes; its tip was last at ({tip}) mm in LPS."
-        )
+        """When a needle was found, how often it was tracked and where its tip was last."""
+        return f"{found_words(self.rows)}."
 
     def __str__(self) -> str:
         return table_text(mode_table(self.summary))
@@ -266,7 +258,7 @@ def track_recording(
                 plots["errors.png"] = ERRORS_CAPTION, plot_errors(log)
         result = TrackedRecording(
             summary, log, recording_labels(summary["modes"]) | LABELS, plots=plots,
-            verdict=recording_verdict(summary), estimates=estimates, rows=rows, times=times,
+            verdict=recording_verdict(summary, rows), estimates=estimates, rows=rows, times=times,
             in_view=in_view,
         )  # fmt: skip
         if out is not None:

@@ -1,7 +1,6 @@
 """Pictures of a run's telling moments: detection, loss, largest error and rest."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -17,12 +16,9 @@ Floats = NDArray[np.float64]
 
 _BLACK = 12  # grey level up to which a pixel is outside the sector; JPEG leaves some grey there
 
-VIEWS = ("along needle and beam", "along the needle, across the beam")
-"""Names of a volume's two slices."""
-
 _LEGEND = (
-    " Each slice is shown as the scanner shows it and, beside it, with the estimated needle "
-    "(orange, dashed, a ring at its tip) and the true one (blue, a cross at its tip); mm."
+    " The estimated needle is orange and dashed, with a ring at its tip, and the true one blue, "
+    "with a cross at its tip."
 )
 
 
@@ -83,35 +79,30 @@ def true_needle(log: RunLog, volume: int) -> Floats:
 
 
 def _key_frame(pictures: VolumePictures, true: Floats) -> Figure:
-    """Return a figure of a volume's slices, each without and with the needles."""
+    """Return a figure of a volume's slices with the needles."""
+    figure = Figure(figsize=(11.0, 4.6), layout="constrained")
     bounds = [_bounds(each) for each in pictures.planes]
-    widths = [(right - left) / (bottom - top) for left, right, bottom, top in bounds]
-    width, left, gap, below, above = 11.0, 0.35, 0.42, 0.3, 0.3  # inches
-    height = (width - left - gap * 2 * len(widths)) / max(2 * sum(widths), 1e-9)
-    figure = Figure(figsize=(width, height + below + above))
-    for number, (picture, view) in enumerate(zip(pictures.planes, VIEWS, strict=False)):
-        for needles in (False, True):
-            box = (left / width, below / figure.get_figheight(), widths[number] * height / width)
-            axes = figure.add_axes((*box, height / figure.get_figheight()))
-            if needles:
-                picture.draw(axes, true)
-            else:
-                replace(picture, needle=np.zeros((0, 2))).draw(axes)
-                axes.set_title(view, loc="left", fontsize=9)
-            axes.set_xlim(bounds[number][:2])
-            axes.set_ylim(bounds[number][2:])
-            axes.set_facecolor("black")
-            left += widths[number] * height + gap
+    shapes = [(right - left) / (bottom - top) for left, right, bottom, top in bounds]
+    grid = figure.add_gridspec(1, max(len(bounds), 1), width_ratios=shapes or None)
+    for number, (picture, view) in enumerate(zip(pictures.planes, pictures.views, strict=False)):
+        axes = figure.add_subplot(grid[number])
+        picture.draw(axes, true)
+        axes.set_title(view, loc="left", fontsize=9)
+        axes.set_xlim(bounds[number][:2])
+        axes.set_ylim(bounds[number][2:])
+        axes.set_facecolor("black")
+        axes.set_xlabel("mm", fontsize=9)
+        axes.set_ylabel(picture.down, fontsize=9)
     return figure
 
 
 def _bounds(picture: PlanePicture) -> tuple[float, float, float, float]:
     """Return the left, right, bottom and top edges in mm of the part of a picture with echoes."""
+    left, right, bottom, top = np.add(picture.extent, np.repeat(picture.centre, 2)).tolist()
     grey = picture.grey > _BLACK
     columns, rows = (np.flatnonzero(grey.any(axis=axis)) for axis in (0, 1))
     if not len(columns):
-        return picture.extent
-    left, right, bottom, top = picture.extent
+        return left, right, bottom, top
     x = np.linspace(left, right, grey.shape[1] + 1)
     y = np.linspace(top, bottom, grey.shape[0] + 1)
     return (x[columns[0]], x[columns[-1] + 1], y[rows[-1] + 1], y[rows[0]])

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from PIL import Image, ImageColor
 
-from sonoservo.systems.evaluation.reports.key_frames import VIEWS, true_needle
+from sonoservo.systems.evaluation.reports.key_frames import true_needle
 from sonoservo.systems.evaluation.reports.plots import (
     BLUE,
     ESTIMATE,
@@ -104,7 +104,7 @@ def movie_frames(log: RunLog, pictures: Sequence[VolumePictures]) -> Iterator[Fr
     head = figure.suptitle("", x=0.05, ha="left", fontsize=11)
     for volume, time in enumerate(log.volume_time):
         taken = min(pictures, key=lambda each: abs(each.time - time))
-        for axes, picture, view in zip(slices, taken.planes, VIEWS, strict=False):
+        for axes, picture, view in zip(slices, taken.planes, taken.views, strict=False):
             axes.clear()
             picture.draw(axes, true_needle(log, volume))
             axes.set_title(view, loc="left", fontsize=9)

@@ -72,7 +72,10 @@ def encode_jpeg(grey: NDArray[np.uint8]) -> bytes:
 
 @dataclass(frozen=True, eq=False)
 class PlanePicture(Picture):
-    """A slice through a volume, with coordinates from its centre, and the needle in it."""
+    """A slice through a volume, and the needle in it; both with coordinates from its centre.
+
+    It is drawn with coordinates from the origin of P, of which those along the beam are depths.
+    """
 
     X_PS: RigidTransform  # pose in P of the picture's frame: X right, Y down, origin at its centre
     needle: Floats  # (m, 2) points of the estimate, in mm; none without one
@@ -81,18 +84,32 @@ class PlanePicture(Picture):
         """Return the (m, 2) coordinates in the picture, in mm, of (m, 3) points in P, in m."""
         return 1e3 * self.X_PS.inverse().multiply(p_P.T).T.reshape(-1, 3)[:, :2]
 
+    @property
+    def centre(self) -> Floats:
+        """(2,) place of the centre as it is drawn, in mm."""
+        return -self.project(np.zeros((1, 3)))[0]
+
+    @property
+    def down(self) -> str:
+        """Name of the coordinate that runs down."""
+        along_beam = np.isclose(self.X_PS.rotation().matrix()[1, 1], 1)
+        return "depth (mm)" if along_beam else "across the beam (mm)"
+
     def draw(self, axes: Axes, true: Floats | None = None) -> None:
         """Draw the slice with the estimate, and with the true needle in P, in m, if it is given."""
-        super().draw(axes)
-        for points, colour, mark, style in (
-            (np.zeros((0, 2)) if true is None else self.project(true), TRUTH, "+", "-"),
-            (self.needle, ESTIMATE, "o", (0, (3, 2))),
+        left, right, bottom, top = np.add(self.extent, np.repeat(self.centre, 2)).tolist()
+        Picture(self.jpeg, (left, right, bottom, top)).draw(axes)
+        for points, colour, mark, style, in_front in (
+            (np.zeros((0, 2)) if true is None else self.project(true), TRUTH, "+", "-", 4),
+            (self.needle, ESTIMATE, "o", (0, (3, 2)), 3),
         ):
             if len(points):
-                axes.plot(*points.T, color=colour, linewidth=1, linestyle=style)
-                axes.plot(*points[-1], mark, color=colour, markersize=7, fillstyle="none")
-        axes.set_xlim(self.extent[:2])
-        axes.set_ylim(self.extent[2:])
+                x, y = (points + self.centre).T
+                axes.plot(x, y, color=colour, linewidth=0.8, linestyle=style)
+                axes.plot(x[-1], y[-1], mark, color=colour, markersize=9, fillstyle="none",
+                          zorder=in_front)  # fmt: skip
+        axes.set_xlim(left, right)
+        axes.set_ylim(bottom, top)
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,6 +119,13 @@ class VolumePictures:
     time: float
     mode: TrackingMode
     planes: list[PlanePicture]  # along the beam, then across it
+
+    @property
+    def views(self) -> tuple[str, str]:
+        """Names of the slices."""
+        if any(len(each.needle) for each in self.planes):
+            return "along needle and beam", "along the needle, across the beam"
+        return "lateral plane", "elevation plane"
 
 
 def picture_planes(volume: Volume, mode: TrackingMode, curve: NeedleCurve | None) -> VolumePictures:
@@ -129,9 +153,8 @@ def plot_planes(pictures: list[VolumePictures]) -> Figure:
             empty.set_visible(False)
         for row, picture in enumerate(pictured.planes):
             picture.draw(axes[row, column])
+            axes[row, column].set_ylabel(picture.down, fontsize=7)
         axes[0, column].set_title(f"{pictured.time:.1f} s, {pictured.mode}", fontsize=9)
-    for row, name in enumerate(("along the beam, mm", "across the beam, mm")[:rows]):
-        axes[row, 0].set_ylabel(name, fontsize=9)
     return figure
 
 

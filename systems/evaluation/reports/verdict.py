@@ -1,12 +1,14 @@
 """Verdict on a run in which the robot follows a needle, in a sentence or two."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
 from sonoservo.systems.evaluation.labels import look_up
 from sonoservo.systems.evaluation.success import RunOutcome, run_outcome
+from sonoservo.systems.files.counting import counted
+from sonoservo.systems.signals.needle_estimate import TrackingMode
 
 
 @dataclass(frozen=True)
@@ -57,13 +59,25 @@ def following_verdict(summary: Mapping[str, Any], *, follows: bool = True) -> Ve
     return Verdict(headline, text, "good" if good else "mixed")
 
 
-def recording_verdict(summary: Mapping[str, Any]) -> Verdict:
-    """Return the verdict on a tracked recording, from its summary."""
-    volumes, tracked = summary["volumes"], summary["modes"].get("tracking", 0)
+def recording_verdict(summary: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]) -> Verdict:
+    """Return the verdict on a tracked recording, from its summary and the rows of estimates.csv."""
+    headline = found_words(rows)
+    if not summary["modes"].get("tracking", 0):
+        return Verdict(headline, " ".join(reasons_lines(summary)), "bad")
+    return Verdict(headline, _found(summary))
+
+
+def found_words(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return when a needle was found, how often it was tracked and where its tip was last."""
+    tracked = [row for row in rows if row["mode"] == TrackingMode.TRACKING]
     if not tracked:
-        return Verdict("No needle was found", " ".join(reasons_lines(summary)), "bad")
-    text = _found(summary)
-    return Verdict(f"A needle was tracked in {tracked} of {volumes} volumes", text)
+        return "No needle was found"
+    first, last = tracked[0], tracked[-1]
+    tip = ", ".join(f"{last[f'tip_{axis}_mm']:.1f}" for axis in "lps")
+    return (
+        f"A needle was found at {first['time_s']:.2f} s and tracked in {len(tracked)} of "
+        f"{counted(len(rows), 'volume')}; its tip was last at ({tip}) mm in LPS"
+    )
 
 
 def reasons_lines(summary: Mapping[str, Any]) -> list[str]:

@@ -73,10 +73,10 @@ def test_what_is_right_needs_nothing_and_is_told():
         (
             np.delete(0.1 * np.arange(30), [7, 8, 20]),
             Check.RATE,
-            "gaps: 2, the longest 0.3 s; about 3",
+            "gaps: 2, the longest 0.3 s; missing volumes: about 3",
         ),
         (0.1 * np.arange(30) + 0.05 * (np.arange(30) % 2), Check.RATE, "varies by 46 %"),
-        (np.r_[0.1 * np.arange(9), 0.8, 0.9], Check.CLOCK, "1 time stamps are missing, repeated"),
+        (np.r_[0.1 * np.arange(9), 0.8, 0.9], Check.CLOCK, "running back: 1; such volumes"),
         (np.zeros(5), Check.RATE, "no time stamp of 5 volumes advances"),
     ],
 )
@@ -107,7 +107,10 @@ def test_matrices_that_are_none(name, change, text):
             lambda m: np.where(np.arange(50)[:, None, None] == 20, m + 300 * np.eye(4, k=3), m),
             "jumps",
         ),
-        (lambda m: np.where(np.arange(50)[:, None, None] % 5 == 0, np.nan, m), "10 of 50 poses"),
+        (
+            lambda m: np.where(np.arange(50)[:, None, None] % 5 == 0, np.nan, m),
+            "marked invalid: 10 of 50",
+        ),
     ],
 )
 def test_poses_that_do_not_move_as_a_probe(change, text):

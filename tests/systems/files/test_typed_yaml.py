@@ -76,6 +76,10 @@ def test_loads_over_defaults():
         ({"front": {"spoke": 3}}, "front.spoke: unknown field; did you mean 'spokes'?"),
         ({"zzz": 3}, "zzz: unknown field; known: basket, bell"),
         ({"spokes": 3}, ": spokes: unknown field; did you mean 'front.spokes'?"),
+        (
+            {"front": 3},
+            "front: 3 is not allowed; expected a mapping with the fields radius, spokes",
+        ),
         ({"front": {"radius": "abc"}}, "radius: 'abc' is not allowed; expected a finite number"),
         ({"front": {"spokes": 1.5}}, "front.spokes: 1.5 is not allowed; expected a whole number"),
         ({"front": {"radius": float("nan")}}, "front.radius: nan is not allowed"),

@@ -49,7 +49,7 @@ def test_a_time_out_of_order_costs_its_frame(tmp_path, frames, stamp):
     read = TrackedFrames(path)
     assert (len(read), read.skipped) == (5, 1)
     assert not set(read.times) >= {10.0, 10.05}
-    assert "left out 1 frames: 1 " in read.notes[-1]
+    assert "left out 1 frame: 1 " in read.notes[-1]
 
 
 def test_pose_that_is_none_costs_its_frame(tmp_path, frames):
@@ -63,5 +63,5 @@ def test_pose_that_is_none_costs_its_frame(tmp_path, frames):
     ]
     path.write_bytes(b"\n".join(lines))
     read = TrackedFrames(path)
-    assert read.notes[-1] == "left out 1 frames: 1 whose pose is no transform (2)"
+    assert read.notes[-1] == "left out 1 frame: 1 whose pose is no transform (2)"
     np.testing.assert_array_equal(read[2], frames[3].pixels)

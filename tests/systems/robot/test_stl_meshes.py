@@ -69,3 +69,7 @@ def test_what_is_missing_is_named(tmp_path):
     path.write_text(path.read_text().replace("mine: mine", "mine: nowhere"))
     with pytest.raises(ConfigurationError, match=r"packages.mine: there is no folder nowhere"):
         load_arm(str(path))
+    path.write_text(path.read_text().replace("file: ", "file: package://other/"))
+    path.write_text(path.read_text().replace("mine: nowhere", "mine: mine"))
+    with pytest.raises(ConfigurationError, match=r"packages: \{other: path/of/it\}"):
+        load_arm(str(path))

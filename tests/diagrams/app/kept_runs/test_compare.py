@@ -71,6 +71,7 @@ def test_figures_that_no_run_has_are_left_out_and_long_names_fold(keep, tmp_path
     console.print(comparison.table())
     first = [line.partition("  ")[0].strip() for line in console.export_text().splitlines()]
     assert "hand.pushes.0.speed" in "".join(first)
+    assert "".join(first).index("differs") < "".join(first).index("hand.pushes")
     unknown = [path for path, each in comparison.figures().items() if each == [None, None]]
     assert unknown
     for path in unknown:

@@ -1,9 +1,10 @@
 from dataclasses import replace
 
 import numpy as np
+from matplotlib.figure import Figure
 from pydrake.common.value import Value
 
-from sonoservo.systems.evaluation import PictureRecorder
+from sonoservo.systems.evaluation import PictureRecorder, picture_planes
 from sonoservo.systems.evaluation.reports import track_plots
 from sonoservo.systems.signals import NeedleEstimate, TrackingMode
 
@@ -26,3 +27,12 @@ def test_a_long_run_keeps_fewer_pictures_of_its_beginning(make_volume, monkeypat
     gaps = np.diff(times)
     assert (gaps > 0).all()
     assert (gaps[-150:] == 1).all()
+
+
+def test_a_slice_along_the_beam_is_drawn_over_depth(make_volume):
+    volume = make_volume(lambda p_P: np.zeros(p_P.shape[:-1]))
+    picture, _ = picture_planes(volume, TrackingMode.SEARCHING, None).planes
+    axes = Figure().subplots()
+    picture.draw(axes)
+    assert picture.down == "depth (mm)"
+    np.testing.assert_allclose(axes.get_ylim(), 1e3 * np.array([volume.upper[1], volume.origin[1]]))
