@@ -78,7 +78,7 @@ class TrackedRecording(RunResult):
     @property
     def found(self) -> str:
         """When a needle was found, how often it was tracked and where its tip was last."""
-        return f"{found_words(self.rows)}."
+        return f"{found_words(self.rows, self.summary['frame'])}."
 
     def __str__(self) -> str:
         return table_text(mode_table(self.summary))
@@ -235,6 +235,7 @@ def track_recording(
             "wall_s": time.perf_counter() - started,
             "skipped": recording.skipped,
             "poses": recording.posed,
+            "frame": "LPS" if isinstance(recording, Recording) else "the frame of the poses",
             "truth": truth is not None,
             **modes.figures(),
         }

@@ -61,14 +61,14 @@ def following_verdict(summary: Mapping[str, Any], *, follows: bool = True) -> Ve
 
 def recording_verdict(summary: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]) -> Verdict:
     """Return the verdict on a tracked recording, from its summary and the rows of estimates.csv."""
-    headline = found_words(rows)
+    headline = found_words(rows, summary["frame"])
     if not summary["modes"].get("tracking", 0):
         return Verdict(headline, " ".join(reasons_lines(summary)), "bad")
     return Verdict(headline, _found(summary))
 
 
-def found_words(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Return when a needle was found, how often it was tracked and where its tip was last."""
+def found_words(rows: Sequence[Mapping[str, Any]], frame: str) -> str:
+    """Return when a needle was found, how often it was tracked, and where in a frame its tip was."""
     tracked = [row for row in rows if row["mode"] == TrackingMode.TRACKING]
     if not tracked:
         return "No needle was found"
@@ -76,7 +76,7 @@ def found_words(rows: Sequence[Mapping[str, Any]]) -> str:
     tip = ", ".join(f"{last[f'tip_{axis}_mm']:.1f}" for axis in "lps")
     return (
         f"A needle was found at {first['time_s']:.2f} s and tracked in {len(tracked)} of "
-        f"{counted(len(rows), 'volume')}; its tip was last at ({tip}) mm in LPS"
+        f"{counted(len(rows), 'volume')}; its tip was last at ({tip}) mm in {frame}"
     )
 
 

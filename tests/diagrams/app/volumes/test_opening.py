@@ -74,5 +74,5 @@ def test_probe_at_rest_makes_no_volume(tmp_path):
     still = freehand(1, dtype=np.uint8)[0]
     frames = [PosedFrame(still.pixels, still.X_WI, 1.0 + k) for k in range(4)]
     path = write_plus_file(tmp_path / "f.mha", frames)
-    with pytest.raises(ConfigurationError, match="the probe hardly moves"):
+    with pytest.raises(ConfigurationError, match="moves over 0 mm, too little for a volume"):
         ReconstructedRecording(path)

@@ -52,13 +52,15 @@ def test_what_went_wrong_comes_first(summary, block, figures, grade, words):
 
 def test_recordings_without_truth_have_a_verdict_too():
     told = {"reasons": {"it rains": 5}, "advice": "wait"}
-    none = recording_verdict({"volumes": 5, "modes": {"searching": 5}, **told}, [])
+    none = recording_verdict({"frame": "LPS", "volumes": 5, "modes": {"searching": 5}, **told}, [])
     assert str(none) == (
         "No needle was found. Volumes without a needle: 5 x it rains. What to change: wait."
     )
     found = {"mode": "tracking", "time_s": 2.0, "tip_l_mm": 1.0, "tip_p_mm": -2.0, "tip_s_mm": 3.0}
     rows = [{"mode": "searching"}, found, found]
-    some = recording_verdict({"volumes": 3, "modes": {"searching": 1, "tracking": 2}}, rows)
+    some = recording_verdict(
+        {"frame": "LPS", "volumes": 3, "modes": {"searching": 1, "tracking": 2}}, rows
+    )
     assert str(some) == (
         "A needle was found at 2.00 s and tracked in 2 of 3 volumes; its tip was last at "
         "(1.0, -2.0, 3.0) mm in LPS."
