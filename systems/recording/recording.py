@@ -72,6 +72,9 @@ class Recording(FileItems):
         If the file is not valid; the message names the file and the fault.
     """
 
+    frame = "LPS"
+    """Name of L."""
+
     def __init__(
         self,
         path: str | Path,

@@ -41,6 +41,9 @@ class ReconstructedRecording:
     `TrackedFrames`, whose errors it raises.
     """
 
+    frame = "the frame of the poses"
+    """Name of L."""
+
     def __init__(
         self,
         path: Path,

@@ -235,7 +235,7 @@ def track_recording(
             "wall_s": time.perf_counter() - started,
             "skipped": recording.skipped,
             "poses": recording.posed,
-            "frame": "LPS" if isinstance(recording, Recording) else "the frame of the poses",
+            "frame": recording.frame,
             "truth": truth is not None,
             **modes.figures(),
         }
