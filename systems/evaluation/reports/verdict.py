@@ -68,7 +68,7 @@ def recording_verdict(summary: Mapping[str, Any], rows: Sequence[Mapping[str, An
 
 
 def found_words(rows: Sequence[Mapping[str, Any]], frame: str) -> str:
-    """Return when a needle was found, how often it was tracked, and where in a frame its tip was."""
+    """Return when a needle was found, how often it was tracked, and where its tip was."""
     tracked = [row for row in rows if row["mode"] == TrackingMode.TRACKING]
     if not tracked:
         return "No needle was found"
