@@ -1,13 +1,14 @@
 """Trackers of a user's own, as the benchmark takes them, in the place of the built-in ones."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import TypeAlias
 
 from pydrake.common.value import Value
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State, System
 
 from sonoservo.diagrams.benchmark.entrants import Step, checked, resolve_entrant, start_tracker
-from sonoservo.systems.files.refusals import refusing_failures
+from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
 from sonoservo.systems.signals.volume import Volume
 
@@ -90,6 +91,12 @@ class _FunctionTracker(LeafSystem):
             return EventStatus.DidNothing()
         with refusing_failures(self._name, "this tracker of yours failed (--debug says where)"):
             estimate = checked(self._step, volume, self._name)
+        if estimate and (estimate.velocity is None or estimate.covariance is None):
+            raise ConfigurationError(
+                f"{self._name}: an estimate with a curve needs its velocity and covariance as well"
+            )
+        if estimate.volume_time < volume.time:
+            estimate = replace(estimate, volume_time=volume.time)
         state.get_mutable_abstract_state(self._newest).set_value(volume)
         state.get_mutable_abstract_state(self._estimate).set_value(estimate)
         return EventStatus.Succeeded()

@@ -32,6 +32,15 @@ def wrong():
 def failing():
     return lambda volume: 1 / 0
 
+def bare():
+    def track(volume):
+        curve = NeedleCurve(np.array([[0.0, 0.03, 0.0], [0.01, 0.04, 0.0]]))
+        return NeedleEstimate(TrackingMode.TRACKING, volume.time, curve=curve)
+    return track
+
+def timeless():
+    return lambda volume: NeedleEstimate(TrackingMode.SEARCHING, volume.time)
+
 def plain(volume):
     return 5
 """
@@ -77,9 +86,16 @@ def test_a_function_runs_and_tracks_alike_whether_given_itself_or_by_its_factory
     assert told["tracking"] == result.summary["tracking"]
 
 
+def test_volumes_count_if_the_estimates_do_not_name_them(mine):
+    log = run("chatelain2013_fig5", changes=SHORT, tracker="own_tracker_of_a_test:timeless").log
+    assert len(log.volume_time) > 3
+
+
 def test_what_is_no_tracker_is_refused(mine, capsys):
     with pytest.raises(ConfigurationError, match="expected a NeedleEstimate"):
         run("chatelain2013_fig5", changes=SHORT, tracker="own_tracker_of_a_test:wrong")
+    with pytest.raises(ConfigurationError, match="needs its velocity and covariance"):
+        run("chatelain2013_fig5", changes=SHORT, tracker="own_tracker_of_a_test:bare")
     with pytest.raises(ConfigurationError, match="tracker of yours failed.*division by zero"):
         run("chatelain2013_fig5", changes=SHORT, tracker="own_tracker_of_a_test:failing")
     with pytest.raises(ConfigurationError, match="plain: it is called without arguments"):
