@@ -31,7 +31,8 @@ line from the last axis and between the tips in m, and logarithm of the visible 
 
 _UNMOVED = 1 / 6
 """Share of those changes but the length's if neither tissue nor probe has moved, which is as
-probable as that they have. Other lines lie anywhere."""
+probable as that they have. Other lines lie anywhere. Chosen by ``python -m lost_needle_study``
+(tests/tools)."""
 
 
 def predicted_region(
