@@ -43,9 +43,9 @@ def track_command(
     source: Annotated[
         str,
         typer.Argument(
-            help="Recorded volumes: .seq.nrrd, .nrrd, .nhdr, .mha, .mhd, .nii, .hdf5, a folder with "
-            "a file for each; or frames (also "
-            ".dcm, .h5, a folder of PNG) with --reconstruct; or live ones: "
+            help="Recorded volumes: .seq.nrrd, .nrrd, .nhdr, .mha, .mhd, .nii, .hdf5, a folder "
+            "with a file for each; or frames (also .dcm, .h5, a folder of PNG) with --reconstruct; "
+            "or live ones: "
             "igtl://host:18944/DEVICE, or igtl://:18944 to wait for a scanner to connect."
         ),
     ],
