@@ -21,6 +21,11 @@ from sonoservo.systems.recording.transform_chain import TransformChain, find_cha
 from sonoservo.systems.recording.valid_frames import choose_items, frame_times
 from sonoservo.systems.signals.requirements import require_within
 
+
+class TimesMissingError(ConfigurationError):
+    """A file does not say when its volumes or frames were acquired."""
+
+
 _RATES = 1e-3, 1e4  # Limits of the rate of volumes or frames, in Hz
 
 
@@ -83,7 +88,7 @@ class FileItems:
             return self.file.times
         if count == 1:
             return np.zeros(1)
-        raise ConfigurationError(
+        raise TimesMissingError(
             f"{self.path}: the times of its {self.what}s are missing; give their rate "
             "(--volume-rate)"
         )

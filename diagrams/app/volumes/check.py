@@ -3,7 +3,7 @@
 import time
 from collections import Counter, deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -48,6 +48,7 @@ from sonoservo.systems.live.connection.link import Link, shown
 from sonoservo.systems.live.image_matcher import ImageMatcher, PosedImage
 from sonoservo.systems.live.live_source import LiveSource
 from sonoservo.systems.live.volume_maker import VolumeMaker
+from sonoservo.systems.recording.file_items import TimesMissingError
 from sonoservo.systems.recording.plus_configuration import read_plus_configuration
 from sonoservo.systems.recording.recording import Recording
 from sonoservo.systems.signals.volume import Volume
@@ -116,6 +117,15 @@ def check_file(path: Path, reading: Reading | None = None) -> CheckedSource:
             opened = open_volumes(path, reading)
         except HoldsFramesError:
             opened = open_volumes(path, with_frames(reading, reconstruct=True))
+        except TimesMissingError as missing:
+            # What needs neither times nor poses is checked all the same.
+            opened = open_volumes(path, replace(reading, volume_rate=1.0, poses="none"))
+            assert isinstance(opened, Recording)
+            _check_recording(checked, opened, reading.depth)
+            assumed = (Check.RATE, Check.CHAIN)
+            checked.findings = [each for each in checked.findings if each.check not in assumed]
+            checked.note(Check.RATE, str(missing), Grade.WRONG)
+            return checked
         for note in opened.notes:
             checked.note(Check.READING, note)
         if isinstance(opened, Recording):

@@ -57,6 +57,15 @@ def test_volumes_of_nan_are_told(tmp_path, count):
     assert "stand" in found.text
 
 
+def test_what_needs_no_times_is_told_without_them(tmp_path):
+    levels = np.random.default_rng(0).integers(1, 256, (20, 30, 20, 4), dtype=np.uint8)
+    nibabel.save(nibabel.Nifti1Image(levels, np.eye(4)), tmp_path / "a.nii")
+    checked = check_file(tmp_path / "a.nii")
+    assert "20 x 30 x 20 voxels" in found(checked, Check.KIND)[0].text
+    (finding,) = found(checked, Check.RATE)
+    assert (finding.grade, "--volume-rate" in finding.text) == (Grade.WRONG, True)
+
+
 def test_frames_are_told_by_their_kind_chain_and_sweeps(tmp_path, capsys):
     path = write_plus_file(tmp_path / "f.igs.mha", freehand(30, turns=2, dtype=np.uint8))
     checked = check_file(path)
