@@ -102,11 +102,13 @@ def test_file_that_cannot_be_read_is_a_finding(tmp_path, capsys, before, after, 
 def test_a_compressed_file_that_was_cut_short_is_told(tmp_path):
     path, rng = tmp_path / "a.nii.gz", np.random.default_rng(0)
     series = nibabel.Nifti1Image(rng.integers(0, 255, (20, 20, 20, 9), np.uint8), np.eye(4))
+    series.header.set_xyzt_units("mm", "sec")
     series.header["pixdim"][4] = 0.3
     nibabel.save(series, path)
     path.write_bytes(path.read_bytes()[: path.stat().st_size * 2 // 3])
-    (finding,) = check_file(path).findings
-    assert (finding.check, finding.grade) == (Check.READING, Grade.WRONG)
+    found = check_file(path).gravest
+    assert (found.check, found.grade) == (Check.READING, Grade.WRONG)
+    assert "cannot be read" in found.text
 
 
 @pytest.mark.parametrize(
