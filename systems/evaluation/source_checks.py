@@ -438,7 +438,7 @@ def check_numbers(voxels: NDArray[Any]) -> list[Finding]:
 def check_across(sweeps: Sequence[Sequence[PosedFrame]]) -> list[Finding]:
     """Check that the corners of frames leave the image's plane from a sweep's start to its end."""
     out, way = 0.0, 0.0
-    for sweep in sweeps:
+    for sweep in filter(None, sweeps):  # all frames of one may hold nothing
         first, last = sweep[0].X_WI, sweep[-1].X_WI
         i, j = sweep[0].pixels.shape[:2]
         corners = np.array([[0, 0, 0, 1], [i, 0, 0, 1], [0, j, 0, 1], [i, j, 0, 1]])

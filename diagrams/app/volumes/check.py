@@ -111,7 +111,7 @@ def check_file(path: Path, reading: Reading | None = None) -> CheckedSource:
         raise ConfigurationError(f"there is no file {path}")
     if path.suffix.lower() == ".xml":
         return check_configuration(path)
-    checked = CheckedSource(str(path))
+    checked, timeless = CheckedSource(str(path)), ""
     try:
         try:
             opened = open_volumes(path, reading)
@@ -120,18 +120,17 @@ def check_file(path: Path, reading: Reading | None = None) -> CheckedSource:
         except TimesMissingError as missing:
             # What needs neither times nor poses is checked all the same.
             opened = open_volumes(path, replace(reading, volume_rate=1.0, poses="none"))
-            assert isinstance(opened, Recording)
-            _check_recording(checked, opened, reading.depth)
-            assumed = (Check.RATE, Check.CHAIN)
-            checked.findings = [each for each in checked.findings if each.check not in assumed]
-            checked.note(Check.RATE, str(missing), Grade.WRONG)
-            return checked
+            timeless = str(missing)
         for note in opened.notes:
             checked.note(Check.READING, note)
         if isinstance(opened, Recording):
             _check_recording(checked, opened, reading.depth)
         else:
             _check_frames(checked, opened)
+        if timeless:
+            assumed = (Check.RATE, Check.CHAIN)
+            checked.findings = [each for each in checked.findings if each.check not in assumed]
+            checked.note(Check.RATE, timeless, Grade.WRONG)
     except ConfigurationError as refusal:
         checked.note(Check.READING, f"it cannot be read: {refusal}", Grade.WRONG)
     return checked

@@ -219,6 +219,7 @@ def test_delay_of_poses_is_found_within_its_interval(delay):
 def test_frames_that_slide_in_their_own_plane_are_told():
     across = sweeps(0.0, count=1)
     assert check_across(across) == []
+    assert check_across([[], *across]) == []
     turned = np.array([[0, 0, 1, 0], [0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 0, 1.0]])
     within = [[replace(each, X_WI=each.X_WI @ turned) for each in across[0]]]
     assert worst(check_across(within))[1].endswith("only 0 % of their way leads out of it")
