@@ -160,7 +160,7 @@ class PoseEquations(Immutable):
 
     matrix: Annotated[Floats, Shape("m", 7)]
     displacement: Annotated[Floats, Shape("m")]
-    places: tuple[int, int] = (0, 1)
+    places: tuple[int, int]
     """Numbers of the two places of the probe."""
 
 
@@ -178,13 +178,18 @@ def probe_velocities(motion: SweepMotion, times: Floats) -> tuple[Floats, Floats
     return np.asarray(rates[:, :3]), np.asarray(rates[:, 3:])
 
 
-def pose_equations(first: Volume, second: Volume, seen: TissueDisplacement) -> PoseEquations:
-    """Return the equations from the apparent displacement of tissue between two volumes."""
+def pose_equations(
+    first: Volume, second: Volume, seen: TissueDisplacement, places: tuple[int, int]
+) -> PoseEquations:
+    """Return the equations from the apparent displacement of tissue between two volumes.
+
+    ``places`` are the numbers of the probe's places in both.
+    """
     here, there = (
         _coefficients(volume, p_W)
         for volume, p_W in ((first, seen.p_W), (second, seen.p_W + seen.displacement))
     )
-    return PoseEquations((here - there).reshape(-1, 7), seen.displacement.ravel())
+    return PoseEquations((here - there).reshape(-1, 7), seen.displacement.ravel(), places)
 
 
 def _coefficients(volume: Volume, p_W: Floats) -> Floats:
@@ -239,13 +244,16 @@ def estimate_pose_errors(equations: Sequence[PoseEquations]) -> PoseErrors | Not
     off = float(np.median(np.linalg.norm((A @ x - d).reshape(-1, 3), axis=1)))
     if off > _STILL:
         return NotFound(f"the tissue moves: half of it is off by more than {1e3 * off:.1f} mm")
-    covariance = _PRIOR[:, np.newaxis] * _covariance(used, x, float(expected[0, 0]) ** 2) * _PRIOR
-    delay, *rest = (_PRIOR * x).tolist()
     places = {place for each in used for place in each.places}
+    relative = _covariance(used, places, x, float(expected[0, 0]) ** 2)
+    covariance = _PRIOR[:, np.newaxis] * relative * _PRIOR
+    delay, *rest = (_PRIOR * x).tolist()
     return PoseErrors(delay, rest[:3], rest[3:], covariance, len(places), len(used), len(d) // 3)
 
 
-def _covariance(used: Sequence[PoseEquations], x: Floats, expected: float) -> Floats:
+def _covariance(
+    used: Sequence[PoseEquations], places: set[int], x: Floats, expected: float
+) -> Floats:
     """Return the covariance of the errors x, relative to those that can be expected.
 
     ``expected`` is the information that these are, for the equations as they are.
@@ -253,7 +261,6 @@ def _covariance(used: Sequence[PoseEquations], x: Floats, expected: float) -> Fl
     informations, scores = zip(*(_fit(each, x) for each in used), strict=True)
     told = np.sum(informations, axis=0)
     inverse = np.linalg.inv(told + expected * np.eye(7))
-    places = {place for each in used for place in each.places}
     freedom = len(places) - 1 - float(np.trace(inverse @ told))
     if freedom < 1:
         return np.eye(7)
@@ -341,7 +348,7 @@ class PoseCalibration(Immutable):
         tissue = displacement_between(earlier, volume)
         if not len(tissue.p_W):
             return known
-        pair = replace(pose_equations(earlier, volume, tissue), places=(other, place))
+        pair = pose_equations(earlier, volume, tissue, (other, place))
         return replace(known, equations=(*self.equations, pair)[-_PAIRS:])
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonoservo.systems.files.memory import require_memory
-from sonoservo.systems.files.plus_fields import unknown_fields
+from sonoservo.systems.files.plus_fields import numbered_fields, unknown_fields
 from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
 from sonoservo.systems.files.volume_file import (
     MAX_FILES,
@@ -192,10 +192,11 @@ class _Reader:
             require_memory(size, str(self.path), f"{count} volumes with the list axis first")
             data = _turned_round(data, nx * ny * nz, count, dtype.itemsize)
         times = None if listed is None else self._times(listed, count)
-        known = unknown_fields("NRRD", (_AXIS.sub("", name) for name in header), FIELDS | KEYS)
+        fields = numbered_fields(header, FIELDS | KEYS, count)
+        known = unknown_fields("NRRD", (_AXIS.sub("", name) for name in fields), FIELDS | KEYS)
         return VolumeFile(
             self.path, shape, count, directions, origin,
-            voxel_reader(data, dtype, shape, channels, last=coloured != 0), times, dict(header),
+            voxel_reader(data, dtype, shape, channels, last=coloured != 0), times, fields,
             (*self.notes, *known), channels,
         )  # fmt: skip
 

@@ -40,6 +40,24 @@ _RAW = {
 }
 
 
+def _is_frame_field(name: str) -> bool:
+    return name in FRAME_FIELDS or name.endswith(("Transform", "TransformStatus"))
+
+
+def numbered_fields(
+    fields: Mapping[str, str], known: Mapping[str, FieldUse], count: int
+) -> dict[str, str]:
+    """Return fields with the number of their volume; those of a file's only volume may have none.
+
+    ``known`` are the fields of a whole file, and ``count`` is the number of its volumes.
+    """
+    if count != 1:
+        return dict(fields)
+    plain = [name for name in fields if _is_frame_field(name) and name not in known]
+    only = {name: f"Seq_Frame0000_{name}" for name in plain if not _FRAME_FIELD.fullmatch(name)}
+    return {only.get(name, name): value for name, value in fields.items()}
+
+
 def unknown_fields(
     format_name: str, fields: Iterable[str], known: Mapping[str, FieldUse]
 ) -> tuple[str, ...]:
@@ -48,10 +66,7 @@ def unknown_fields(
     unknown: set[str] = set()
     for name in fields:
         if match := _FRAME_FIELD.fullmatch(name):
-            known_frame = match[1] in FRAME_FIELDS or match[1].endswith(
-                ("Transform", "TransformStatus")
-            )
-            if not known_frame:
+            if not _is_frame_field(match[1]):
                 unknown.add(f"Seq_Frame..._{match[1]}")
         elif _spelling(name) not in names:
             unknown.add(name)

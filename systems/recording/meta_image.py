@@ -12,7 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.systems.files.plus_fields import sequence_field, unknown_fields
+from sonoservo.systems.files.plus_fields import (
+    numbered_fields,
+    sequence_field,
+    unknown_fields,
+)
 from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
 from sonoservo.systems.files.volume_file import (
     MAX_FILES,
@@ -124,6 +128,7 @@ def _describe(
     def rescaled(number: int) -> NDArray[Any]:
         return read(number) * slope + shift
 
+    fields = numbered_fields(fields, FIELDS, count)
     notes = list(unknown_fields("MetaImage", fields, FIELDS))
     if not frames:
         if not any(name in fields for name in _SPACING):

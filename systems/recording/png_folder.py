@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sonoservo.systems.files.natural_order import natural_order
 from sonoservo.systems.files.refusals import ConfigurationError, require_extra
 from sonoservo.systems.files.volume_file import VolumeFile, check_layout, require_frames
 from sonoservo.systems.recording.grey_levels import as_frame, grey_or_colours
 from sonoservo.systems.recording.pose_table import read_pose_table
-from sonoservo.systems.recording.volume_folder import natural_order
 
 TABLE = "poses.csv"
 """Name of the table, if a folder holds several."""

@@ -1,23 +1,16 @@
 """Reader of a folder with a file for each volume, as many laboratories keep them."""
 
-import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from sonoservo.systems.files.plus_fields import FRAME_FIELDS
+from sonoservo.systems.files.natural_order import natural_order
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.volume_file import MAX_FILES, VolumeFile
 
-
-def natural_order(files: Iterable[Path]) -> list[Path]:
-    """Return files in the order of their names, 9 before 10."""
-    return sorted(
-        files,
-        key=lambda each: [int(n) if n.isdigit() else n for n in re.split(r"(\d+)", each.name)],
-    )
+_ONLY = "Seq_Frame0000_"  # beginning of the names of the fields of a file's only volume
 
 
 def open_volume_folder(
@@ -48,9 +41,8 @@ def open_volume_folder(
                 f"{first.path}; poses belong into the fields of transforms"
             )
         for name, value in each.fields.items():
-            if name in FRAME_FIELDS or name.endswith(("Transform", "TransformStatus")):
-                fields.pop(name, None)
-                fields[f"Seq_Frame{number:04d}_{name}"] = value
+            if name.startswith(_ONLY):
+                fields[name.replace(_ONLY, f"Seq_Frame{number:04d}_")] = value
         times.append(np.nan if each.times is None else float(each.times[0]))
     return replace(
         first,

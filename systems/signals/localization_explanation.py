@@ -10,6 +10,7 @@ from sonoservo.systems.signals.immutable import Immutable, NotFound, Shape, Vect
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
 from sonoservo.systems.signals.needle_prediction import NeedlePrediction
+from sonoservo.systems.signals.tissue_record import TissueRecord
 
 Floats = NDArray[np.float64]
 
@@ -38,6 +39,9 @@ class SearchRegion(Immutable):
 
     entry: Vector3 | None = None
     """Position of the entry; None if it is unknown."""
+
+    tissue: TissueRecord | None = None
+    """Tissue along the needle from before it came; None if unknown."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +73,11 @@ class AxisProfile(Immutable):
     incidence: Floats | None = None
     """(m,) angles in rad by which the sound's direction differs from a right angle to the axis;
     None if unknown."""
+
+    before: Floats | None = None
+    looks: Floats | None = None
+    """(m,) contrasts in dB that the tissue had there before the needle came, and number of looks at
+    each; None if unknown. See `TissueRecord`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,6 +115,12 @@ class NeedleExtent(Immutable):
     evidence: float
     """Integral along the stretch of the evidence for a needle, in dB m. It is about 2 dB times the
     length. Lines through speckle reach 6 dB mm, and a needle of 5 mm reaches 12 to 30 dB mm."""
+
+    contrast: Annotated[Floats, Shape("m")]
+    """Smoothed level of the profile over its background, in dB."""
+
+    ahead: Annotated[NDArray[np.bool_], Shape("m", dtype=np.bool_)]
+    """Flags of the samples where the tip has surely not been."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,6 +10,7 @@ from pydrake.math import RigidTransform
 from sonoservo.systems.signals.immutable import Immutable, Shape, seal
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.requirements import Fraction
+from sonoservo.systems.signals.tissue_record import TissueRecord
 
 _NOWHERE = seal(np.zeros((0, 3)))
 
@@ -52,6 +53,9 @@ class NeedleMeasurement(Immutable):
 
     unseen: Fraction = 0.0
     """Probability that a needle which goes on beyond the end is not seen there."""
+
+    tissue: TissueRecord | None = None
+    """Tissue along the needle where its tip has not been, this volume included; None if unknown."""
 
     def _extents(self) -> dict[str, int]:
         return {"n": self.curve.order}

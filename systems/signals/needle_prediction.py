@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from sonoservo.systems.signals.immutable import Immutable, Shape, Vector3
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.requirements import require
+from sonoservo.systems.signals.tissue_record import TissueRecord
 
 Floats = NDArray[np.float64]
 
@@ -38,6 +39,9 @@ class NeedlePrediction(Immutable):
 
     entry: Vector3 | None = None
     """Last measured position of the entry in W, in m; None while the entry is a guess."""
+
+    tissue: TissueRecord | None = None
+    """Tissue along the needle from before it came; None if unknown."""
 
     missed: int = 0
     """Number of successive volumes that did not confirm the needle."""

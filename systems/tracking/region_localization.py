@@ -1,5 +1,6 @@
 """Localization in one region of a volume: candidates, consensus, extent, refit and decision."""
 
+from dataclasses import replace
 from typing import Any, TypeVar
 
 import numpy as np
@@ -15,6 +16,7 @@ from sonoservo.systems.signals.localization_explanation import (
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
 from sonoservo.systems.signals.search_reason import SearchReason
+from sonoservo.systems.signals.tissue_record import TissueRecord
 from sonoservo.systems.signals.volume import Volume, acquired_from
 from sonoservo.systems.tracking.axis import axis_through
 from sonoservo.systems.tracking.axis_fit import AxisFit, fit_axis
@@ -89,7 +91,15 @@ def _attempt(
     if turns_too_far(region, fit.axis, extent, parameters):
         raise _AbsentError(SearchReason.HARDLY_SEEN(" a part is seen of what turned"))
     inliers, between = _inliers(points, parameters, fit, extent)
-    return _judge(volume, region, parameters, fit, extent, int(inliers.sum()), int(between.sum()))
+    measured = _judge(
+        volume, region, parameters, fit, extent, int(inliers.sum()), int(between.sum())
+    )
+    known = region.entry if region.entry is not None else measured.curve.entry
+    distance = looked["profile"].a - float(fit.axis.abscissa(known))
+    tissue = (region.tissue or TissueRecord.unseen(parameters.tip.step)).seen(
+        distance, extent.contrast, extent.ahead
+    )
+    return replace(measured, tissue=tissue)
 
 
 def _candidates(
@@ -126,6 +136,10 @@ def _extent(
     for beyond in (region.beyond, EVERYWHERE):
         start, stop = ends[0] - region.before, ends[1] + beyond
         profile: AxisProfile = axis_profile(volume, fit.axis, start, stop, parameters.tip)
+        if region.entry is not None and region.tissue is not None:
+            distance = profile.a - float(fit.axis.abscissa(region.entry))
+            before, looks = region.tissue.at(distance)
+            profile = replace(profile, before=before, looks=looks)
         looked.update(profile=profile, extent=None)
         extent = _expect(find_extent(profile, parameters.tip))
         looked.update(extent=extent)

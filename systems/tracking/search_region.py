@@ -59,6 +59,7 @@ def predicted_region(
             math.pi / 2,
         ),
         entry=prediction.entry,
+        tissue=prediction.tissue,
     )
     if not parameters.volume_of_interest:
         far = EVERYWHERE

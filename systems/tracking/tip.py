@@ -30,6 +30,9 @@ _NOTHING, _SPREAD = 2.2, 0.25
 """Standard deviation of the contrast in dB where there is no needle, and by how much more a
 needle's deviates from its level so far, per dB of that level: it flashes, fades and hides."""
 
+_LASTS = 0.4
+"""Share of the variance of the contrast where there is no needle that lasts from look to look."""
+
 _CHANGES = 0.2
 """Mean length in m of a needle between places at which it hides, and between those at which its
 level becomes any other. It hides for `REACH` on average, and then shows as bright as before."""
@@ -40,7 +43,7 @@ deviation of their contrast in dB."""
 
 _TREND, _BEFORE = 5e-3, 1e-3
 """Length in m along which a needle's level so far is remembered to 1/e, and its distance from
-there. This length, `_CHANGES`, `_NOTHING` and `_SPREAD` are fitted by
+there. This length, `_CHANGES`, `_NOTHING`, `_SPREAD` and `_LASTS` are fitted by
 ``python -m tip_study.levels`` (tests/tools)."""
 
 _MIRROR = 16.0, 24.0
@@ -52,6 +55,9 @@ which most of that goes (Nichols et al. 2003, and the echo of a steel cylinder).
 
 REACH = 20e-3
 """Mean length in m of what is not seen of a needle, beyond where it was last seen."""
+
+_SURE = 0.95
+"""Probability that the tip was not at a place from which on that place is a record of tissue."""
 
 _NEAR, _PLACES = 6e-3, 3
 """Distance in m within which ends are one end, and number of ends that are distinguished."""
@@ -195,6 +201,7 @@ def find_extent(profile: AxisProfile, parameters: TipParameters) -> NeedleExtent
     samples = max(1, round(parameters.smoothing / step))
     level = uniform_filter1d(profile.level, samples, mode="nearest")
     contrast = level - uniform_filter1d(profile.background, samples, mode="nearest")
+    tissue = _expected_tissue(profile)
     first, last, evidence = most_evident_stretch(
         contrast,
         profile.seen,
@@ -208,10 +215,11 @@ def find_extent(profile: AxisProfile, parameters: TipParameters) -> NeedleExtent
     if width is None:
         width = np.full(len(contrast), parameters.beam_width or _TYPICAL_WIDTH)
     share = step / np.maximum(width, parameters.smoothing)
-    logs, beyond, tops = _end_logs(
-        contrast, profile.seen, share, width / FWHM_PER_SIGMA, step, first
-    )
-    places = _places(profile.a, first, logs, beyond)
+    sigma = width / FWHM_PER_SIGMA
+    logs, beyond, tops = _end_logs(contrast, profile.seen, tissue, share, sigma, step, first)
+    weights, rest = _end_weights(profile.a, first, logs, beyond)
+    passed = np.interp(profile.a - 3 * sigma, profile.a, np.cumsum(weights))
+    places = _places(profile.a, weights.copy(), rest)
     seen, tip, std = places[0]
     at, beyond_at = np.searchsorted(profile.a[:-1], [tip, tip + REACH / 2])
     turned = 0.0
@@ -235,7 +243,21 @@ def find_extent(profile: AxisProfile, parameters: TipParameters) -> NeedleExtent
         entered=float(profile.a[unseen[-1]]) if len(unseen) else -np.inf,
         leaves=bool(after >= len(profile.a) or not profile.seen[after]),
         evidence=evidence,
+        contrast=contrast,
+        ahead=profile.seen & (passed > _SURE),
     )
+
+
+def _expected_tissue(profile: AxisProfile) -> NDArray[np.float64]:
+    """Return (m, 3) properties of the contrasts that are expected where the needle is not.
+
+    They are means and deviations in dB, and shares of the structures that were not seen before.
+    """
+    if profile.before is None or profile.looks is None:
+        return np.tile([0.0, _NOTHING, 1.0], (len(profile.a), 1))
+    gain = profile.looks / (profile.looks + (1 - _LASTS) / _LASTS)
+    std = _NOTHING * np.sqrt(1 - _LASTS * gain)
+    return np.stack([gain * profile.before, std, 1 - gain], axis=1)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -245,7 +267,7 @@ def _log_density(contrast: float, mean: float, std: float) -> float:  # pragma: 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _needle_logs(  # pragma: no cover - compiled
-    contrast: Any, seen: Any, share: Any, step: float, first: int
+    contrast: Any, seen: Any, tissue: Any, share: Any, step: float, first: int
 ) -> Any:
     """Return (m + 1,) log likelihoods of the contrasts before each sample along a needle."""
     m = len(contrast)
@@ -272,7 +294,7 @@ def _needle_logs(  # pragma: no cover - compiled
             std = _NOTHING + _SPREAD * min(level, 16.0)
             before = share[b] * _log_density(contrast[b], level, std)
             bright = share[b] * _log_density(contrast[b], _BRIGHT, _BRIGHT)
-            hidden = share[b] * _log_density(contrast[b], 0.0, _NOTHING)
+            hidden = share[b] * _log_density(contrast[b], tissue[b, 0], tissue[b, 1])
             top = max(before, bright, hidden)
             hides = (1 - same - anew) * math.exp(hidden - top)
             same, anew = same * math.exp(before - top), anew * math.exp(bright - top)
@@ -285,7 +307,7 @@ def _needle_logs(  # pragma: no cover - compiled
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _tissue_logs(  # pragma: no cover - compiled
-    contrast: Any, seen: Any, share: Any, step: float
+    contrast: Any, seen: Any, tissue: Any, share: Any, step: float
 ) -> Any:
     """Return (m + 1,) log likelihoods of the contrasts from each sample on beyond a needle."""
     m = len(contrast)
@@ -293,9 +315,9 @@ def _tissue_logs(  # pragma: no cover - compiled
     for b in range(m - 1, -1, -1):
         nothing = logs[b + 1]
         if seen[b]:
-            nothing += share[b] * _log_density(contrast[b], 0.0, _NOTHING)
+            nothing += share[b] * _log_density(contrast[b], tissue[b, 0], tissue[b, 1])
             structure += share[b] * _log_density(contrast[b], _BRIGHT, _BRIGHT)
-        logs[b] = _log_mean(structure, nothing, step / _APART)
+        logs[b] = _log_mean(structure, nothing, tissue[b, 2] * step / _APART)
         structure = _log_mean(nothing, structure, step / _LONG)
     return logs
 
@@ -315,7 +337,7 @@ def _mirror_share(top: float) -> float:  # pragma: no cover - compiled
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _end_logs(  # pragma: no cover - compiled
-    contrast: Any, seen: Any, share: Any, sigma: Any, step: float, first: int
+    contrast: Any, seen: Any, tissue: Any, share: Any, sigma: Any, step: float, first: int
 ) -> Any:
     """Return log likelihoods of a needle that ends at each sample, or beyond, and contrasts.
 
@@ -323,8 +345,8 @@ def _end_logs(  # pragma: no cover - compiled
     deviation of the blurred end in m. The contrasts in dB are those shortly before each end.
     """
     m, gap = len(contrast), int(_BEFORE / step)
-    needle = _needle_logs(contrast, seen, share, step, first)
-    tissue = _tissue_logs(contrast, seen, share, step)
+    needle = _needle_logs(contrast, seen, tissue, share, step, first)
+    beyond = _tissue_logs(contrast, seen, tissue, share, step)
     logs, tops = np.full(m, -np.inf), np.zeros(m)
     for t in range(first + 2 * gap, m):
         tops[t] = contrast[max(t - 4 * gap, first) : max(t - gap, first + 1)].mean()
@@ -334,7 +356,7 @@ def _end_logs(  # pragma: no cover - compiled
         mirror = _mirror_share(top)
         begin, end = t - int(sigma[t] / step), min(t + int(3 * sigma[t] / step), m - 1)
         begin = max(begin, first)
-        log = needle[begin] + tissue[end + 1]
+        log = needle[begin] + beyond[end + 1]
         for b in range(begin, end + 1):
             if seen[b]:
                 # Of points in phase the amplitudes add up, of others the intensities.
@@ -342,25 +364,34 @@ def _end_logs(  # pragma: no cover - compiled
                 amplitude = math.log(max(0.5 * math.erfc(x / math.sqrt(2)), 1e-9))
                 intensity = 0.5 * math.log(max(0.5 * math.erfc(x), 1e-9))
                 drop = mirror * amplitude + (1 - mirror) * intensity
-                left = 10 * math.log10(1 + 10 ** (top / 10) * math.exp(2 * drop))
-                log += share[b] * _log_density(contrast[b], left, _NOTHING)
+                there = 10 ** (tissue[b, 0] / 10)
+                left = 10 * math.log10(there + 10 ** (top / 10) * math.exp(2 * drop))
+                log += share[b] * _log_density(contrast[b], left, tissue[b, 1])
         logs[t] = log
     return logs, needle[m], tops
 
 
-def _places(
+def _end_weights(
     a: NDArray[np.float64], first: int, logs: NDArray[np.float64], beyond: float
+) -> tuple[NDArray[np.float64], float]:
+    """Return the (m,) probabilities that the tip is at each sample, and that it lies beyond all."""
+    top = max(float(logs.max()), beyond)
+    farther = (a - a[first]) / REACH
+    weights = np.exp(logs - top - farther) * (float(a[1] - a[0]) / REACH)
+    rest = math.exp(beyond - top - farther[-1])
+    total = weights.sum() + rest
+    return weights / total, rest / total
+
+
+def _places(
+    a: NDArray[np.float64], weights: NDArray[np.float64], rest: float
 ) -> NDArray[np.float64]:
     """Return the places where the tip may be: (c, 3) probabilities, abscissae and deviations in m.
 
     The most probable ones come first, and all that is left last.
     """
-    step, top = float(a[1] - a[0]), max(float(logs.max()), beyond)
-    farther = (a - a[first]) / REACH
-    weights = np.exp(logs - top - farther) * (step / REACH)
-    rest, rest_at = math.exp(beyond - top - farther[-1]), float(a[-1]) + REACH
-    total, near = weights.sum() + rest, round(_NEAR / step)
-    weights, rest = weights / total, rest / total
+    step, rest_at = float(a[1] - a[0]), float(a[-1]) + REACH
+    near = round(_NEAR / step)
     places = []
     for _ in range(_PLACES):
         middle = int(np.convolve(weights, np.ones(2 * near + 1), "same").argmax())

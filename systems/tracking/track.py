@@ -11,6 +11,7 @@ from sonoservo.systems.signals.immutable import Immutable
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
 from sonoservo.systems.signals.needle_prediction import NeedlePrediction
+from sonoservo.systems.signals.tissue_record import TissueRecord
 from sonoservo.systems.tracking.needle_filter import NeedleState
 
 SUREST = 0.999
@@ -40,6 +41,8 @@ class Track(Immutable):
     entry: NDArray[np.float64] | None = None
     """(3,) entry when the needle was found, in the state's frame, in m; None if none is followed. A
     filter's own entry would slide along the needle if it were measured by itself."""
+    tissue: TissueRecord | None = None
+    """Tissue along the needle from before it came, told by distances from that entry."""
     innovation: float | None = None
     """Mahalanobis distance of the last measurement from its prediction; None if none was gated."""
     probability: float = 0.0
@@ -85,6 +88,7 @@ class Track(Immutable):
             state.velocity,
             state.covariance[:points, :points],
             entry=entry,
+            tissue=self.tissue,
             missed=self.missed,
         )
 

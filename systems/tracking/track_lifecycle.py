@@ -169,7 +169,7 @@ class TrackLifecycle:
             before = self.needle_filter.predict(before, measurement.time)
             if innovation_distance(before, measurement) <= self.gate:
                 state = self.needle_filter.start(measurement)
-                moved = replace(track, entry=None)
+                moved = replace(track, entry=None, tissue=None)
                 return self._confirmed(state, measurement, probability, moved, distance)
         missed = replace(track, rejected=measurement, innovation=distance)
         off = f" {distance:.1f} standard deviations from the prediction"
@@ -190,6 +190,7 @@ class TrackLifecycle:
         return replace(
             Track.confirmed(state, measurement.time, innovation, probability),
             entry=state.curve.entry if before.entry is None else before.entry,
+            tissue=measurement.tissue,
             search=before.search if probability < self.parameters.act else None,
         )
 

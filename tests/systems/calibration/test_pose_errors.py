@@ -85,7 +85,7 @@ def test_equations_hold_to_first_order(volumes, delay, translation, rotation):
         said.append(false)
         claimed.append(false.to_world(acquired_from(true, p_W))[0])
     seen = TissueDisplacement(claimed[0], claimed[1] - claimed[0])
-    equations = pose_equations(*said, seen)
+    equations = pose_equations(*said, seen, (0, 1))
     predicted = equations.matrix @ truth(probe)
     size = np.abs(equations.displacement).max()
     np.testing.assert_allclose(predicted, equations.displacement, atol=0.05 * size + 5e-6)
