@@ -119,7 +119,9 @@ class TrackLifecycle:
                     choice = ends, float(expit(odds))
         if choice[1] > 0.5:
             return choice
-        return NotFound(_REASONS[LINE_CLASSES[int(lines.classes[best].argmax())]])
+        kind = int(lines.classes[best].argmax())
+        sure = lines.classes[best, kind] >= self.parameters.act
+        return NotFound(_REASONS[LINE_CLASSES[kind] if sure else "needle"])
 
     def next(
         self,

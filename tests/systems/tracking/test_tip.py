@@ -208,3 +208,34 @@ def test_what_is_bright_before_the_needle_is_not_its_end():
     both = replace(before, level=np.maximum(before.level, needle.level))
     extent = find_extent(both, PARAMETERS)
     assert extent.tip > extent.start
+
+
+def looked_at(needle, contrast, looks=8.0):
+    """A profile with the tissue that was seen there before the needle came."""
+    return replace(needle, before=contrast, looks=np.full(len(needle.a), looks))
+
+
+@pytest.mark.parametrize("ahead", [4e-3, 6e-3, 12e-3])
+def test_what_was_there_before_the_needle_came_is_not_its_end(ahead):
+    needle = profile(0.03)
+    spot = 20.0 * np.exp(-0.5 * ((needle.a - 0.03 - ahead) / 1.2e-3) ** 2)
+    needle = replace(needle, level=np.maximum(needle.level, 20 + spot))
+    extent = find_extent(looked_at(needle, spot), PARAMETERS)
+    assert extent.tip == pytest.approx(0.03, abs=1e-3)
+    assert extent.tip_std < 2e-3
+    assert extent.seen > 0.99
+
+
+def test_what_shines_where_nothing_was_is_the_needle():
+    needle = profile(0.05, gaps=[(0.02, 0.042)])
+    assert find_extent(needle, PARAMETERS).tip < 0.021
+    extent = find_extent(looked_at(needle, np.zeros(len(needle.a))), PARAMETERS)
+    assert extent.tip == pytest.approx(0.05, abs=1e-3)
+
+
+def test_only_places_that_the_tip_has_surely_not_reached_are_a_record_of_the_tissue():
+    extent = find_extent(profile(0.03), PARAMETERS)
+    a = profile(0.03).a
+    assert not extent.ahead[a < 0.03 + 3 * SIGMA].any()
+    assert extent.ahead[(a > 0.03 + 6 * SIGMA) & (a < 0.08)].all()
+    assert not extent.ahead[a >= 0.08].any()  # not seen
