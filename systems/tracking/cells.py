@@ -25,6 +25,10 @@ _AROUND = 13e-3
 _DARKEST, _BRIGHTEST = -6.0, 14.0
 """Limits of a cell's level above its surroundings, in dB."""
 
+_SHADOWED, _LIT = 10.0, 90
+"""How far in dB the level lies below that at its depth where no sound arrives, and the percentile
+of the levels at a depth that stands for it."""
+
 _UNLIKE = 3.0
 """Difference in dB of two cells' levels at which they tell half as much about a shift: something
 that appears or vanishes between two volumes does not move."""
@@ -67,9 +71,18 @@ class Cells:
 
     levels: NDArray[np.float32]
     seen: NDArray[np.bool_]
+    lit: NDArray[np.bool_]
+    """Flags of the cells that are seen and not shadowed: by air at the probe's face, or bone."""
+    darkest: NDArray[np.float32]
+    """(j,) levels in dB at the depths of the cells below which no sound arrives."""
     origin: Floats
     """(3,) position in P of the first cell's centre, in m."""
     edges: Floats
+
+    def darkest_at(self, depth: Floats) -> Floats:
+        """Return the levels in dB at depths in P in m below which no sound arrives."""
+        at = (depth - self.origin[1]) / self.edges[1]
+        return np.asarray(np.interp(at, np.arange(len(self.darkest)), self.darkest))
 
 
 def cells_of(volume: Volume) -> Cells:
@@ -89,16 +102,23 @@ def cells_of(volume: Volume) -> Cells:
     share = uniform_filter(seen.astype(np.float32), window, mode="constant")
     around = uniform_filter(means, window, mode="constant") / np.maximum(share, np.float32(0.05))
     levels = np.where(seen, np.clip(means - around, _DARKEST, _BRIGHTEST), np.float32(0))
-    return Cells(levels, seen, volume.position(0.5 * size - 0.5), edges)
+    depths = np.where(seen, around, np.nan).swapaxes(0, 1).reshape(around.shape[1], -1)
+    darkest = np.full(len(depths), -1e3, np.float32)
+    shown = ~np.isnan(depths).all(axis=1)
+    darkest[shown] = np.nanpercentile(depths[shown], _LIT, axis=1) - _SHADOWED
+    lit = seen & (around > darkest[:, np.newaxis])
+    return Cells(levels, seen, lit, darkest, volume.position(0.5 * size - 0.5), edges)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _shift_equations(  # pragma: no cover - compiled
-    now: Any, now_seen: Any, before: Any, before_seen: Any, M: Any, offset: Any
+    now: Any, now_seen: Any, before: Any, before_seen: Any, M: Any, offset: Any, same: Any
 ) -> Any:
     """Return the normal equations of the shift of one image against another, and their difference.
 
-    ``M`` and ``offset`` take indices of the cells now to those before. Every second cell counts.
+    ``M`` and ``offset`` take indices of the cells now to those before that show the same tissue,
+    and ``same`` (2, 3) factors and offsets to those at the same place in the image. A cell belongs
+    to either. Every second cell counts.
     """
     nx, ny, nz = before.shape
     H, g, gradient = np.zeros((3, 3)), np.zeros(3), np.zeros(3)
@@ -119,12 +139,20 @@ def _shift_equations(  # pragma: no cover - compiled
                 gradient[0] = trilinear(before, x + 1, y, z) - trilinear(before, x - 1, y, z)
                 gradient[1] = trilinear(before, x, y + 1, z) - trilinear(before, x, y - 1, z)
                 gradient[2] = trilinear(before, x, y, z + 1) - trilinear(before, x, y, z - 1)
-                weight = 1 / (1 + (error / _UNLIKE) ** 2)
+                rides = 0.0
+                x = same[0, 0] * i + same[1, 0]
+                y = same[0, 1] * j + same[1, 1]
+                z = same[0, 2] * k + same[1, 2]
+                if 0 <= x <= nx - 1 and 0 <= y <= ny - 1 and 0 <= z <= nz - 1:
+                    away = now[i, j, k] - trilinear(before, x, y, z)
+                    rides = 1 / (1 + (away / _UNLIKE) ** 2)
+                rests = 1 / (1 + (error / _UNLIKE) ** 2)
+                weight = rests**2 / (rests + rides)
                 for a in range(3):
                     g[a] += 0.5 * weight * gradient[a] * error
                     for b in range(3):
                         H[a, b] += 0.25 * weight * gradient[a] * gradient[b]
-                unlike += min(abs(error), 2 * _UNLIKE)
+                unlike -= math.log(rests + rides)
                 count += 1
     return H, g, unlike, count
 
@@ -138,15 +166,17 @@ def tissue_shift(
     the smallest difference counts (Lucas and Kanade 1981, with the weights of a Cauchy
     distribution).
     """
-    # Breath, a late pose and a wrong calibration shift all tissue alike.
+    # Breath, a late pose and a wrong calibration shift all tissue alike. Reverberation and the
+    # borders of shadows ride along with the probe.
     M = X_BN[:3, :3] * now.edges / before.edges[:, np.newaxis]
     offset = (X_BN[:3, :3] @ now.origin + X_BN[:3, 3] - before.origin) / before.edges
+    same = np.stack([now.edges / before.edges, (now.origin - before.origin) / before.edges])
     best, information, least = np.zeros(3), np.zeros((3, 3)), np.inf
     for start in starts:
         shift = start / before.edges
         for _ in range(_STEPS):
             H, g, unlike, count = _shift_equations(
-                now.levels, now.seen, before.levels, before.seen, M, offset + shift
+                now.levels, now.lit, before.levels, before.lit, M, offset + shift, same
             )
             if count < 200 or not np.trace(H) > 0:
                 break

@@ -69,10 +69,6 @@ _BIRTHS = 0.05
 _MISTAKEN = 0.02
 """Probability that a better fit is that of another line."""
 
-_SHADOWED, _LIGHTER = 10.0, 0.5
-"""Fall in dB of the level beside a bin at which the bin counts as shadowed and tells nothing, and
-the fall from volume to volume that is no shadow."""
-
 _APPEARS = 0.1
 """Ratio of the probability that a line appears at once, as a specular surface comes into view or a
 shadow goes, to that with which a bin is drawn anew; measured in volumes without a needle."""
@@ -146,8 +142,6 @@ class Lines:
     image_directions: Floats
     logs: Floats
     """(n, t, BINS) log ratios by time of arrival; see `add_volume`."""
-    sides: NDArray[np.float32]
-    """(n, BINS) level beside each bin while nothing shadows it."""
     image_logs: Floats
     """(n, 1, BINS) log ratios along the line that keeps its place in the image."""
     image_levels: NDArray[np.float32]
@@ -197,7 +191,7 @@ def _new_lines(ends: Floats, ends_P: Floats, numbers: Floats, times: int) -> Lin
     image_levels, levels, contrasts = np.full((3, n, BINS), np.nan, np.float32)
     return Lines(
         points, directions, 0.5 * length * [-1.0, 1.0], image_points, image_directions,
-        np.zeros((n, times, BINS)), np.zeros((n, BINS), np.float32), np.zeros((n, 1, BINS)),
+        np.zeros((n, times, BINS)), np.zeros((n, 1, BINS)),
         image_levels, levels, contrasts,
         np.zeros(n), np.zeros(n), np.zeros(n), numbers, np.zeros((n, 1 + len(LINE_CLASSES))),
         np.zeros((n, 5)), np.zeros((n, _REMEMBERED, 5)),
@@ -360,27 +354,30 @@ def _shown_at(lines: Lines, each: Remembered) -> _Shown:
     p_P = each.in_image(np.concatenate([lines.points - reach, lines.points + reach]))
     along = p_P[n:] - p_P[:n]
     along /= np.linalg.norm(along, axis=1, keepdims=True)
-    here = line_levels(each.volume, 0.5 * (p_P[:n] + p_P[n:]), along)
-    riding = line_levels(each.volume, lines.image_points, lines.image_directions)
-    return _Shown(here, riding)
+    here = _lit(each, 0.5 * (p_P[:n] + p_P[n:]), along)
+    return _Shown(here, _lit(each, lines.image_points, lines.image_directions))
+
+
+@np.errstate(invalid="ignore")
+def _lit(each: Remembered, points: Floats, directions: Floats) -> LineLevels:
+    """Return the levels along lines in P where sound arrives: a shadow tells nothing."""
+    found = line_levels(each.volume, points, directions)
+    darkest = each.cells.darkest_at(points[:, 1:2] + MIDDLES * directions[:, 1:2])
+    return found.where(found.levels - found.contrasts > darkest)
 
 
 @np.errstate(invalid="ignore")
 def _add(lines: Lines, shown: _Shown, each: Remembered, begun: int) -> None:
     """Add what a volume shows to the evidence of the lines, for the arrivals so far."""
-    beside = shown.along.levels - shown.along.contrasts
-    lighter = np.maximum(lines.sides - _LIGHTER, beside)
-    lines.sides[:] = np.where(np.isnan(beside), lines.sides, lighter)
-    lit = shown.along.where(beside > lines.sides - _SHADOWED)
     for logs, before, now, change in (
-        (lines.logs[:, :begun], lines.levels, lit, each.change),
+        (lines.logs[:, :begun], lines.levels, shown.along, each.change),
         (lines.image_logs, lines.image_levels, shown.riding, each.image_change),
     ):
         ratios, repeats = log_ratio(now.contrasts), repeat_ratio(now, before, change)
         shares = renewed_shares(ratios, repeats, change.renewed)
         add_volume(logs, ratios, repeats, shares, _SHOWS)
         before[:] = now.levels
-    lines.contrasts[:] = lit.contrasts
+    lines.contrasts[:] = shown.along.contrasts
 
 
 def _look_on(lines: Lines, shown: _Shown, newest: Remembered, times: int) -> Lines:
@@ -393,7 +390,6 @@ def _look_on(lines: Lines, shown: _Shown, newest: Remembered, times: int) -> Lin
         if times > 1
         else lines.logs.copy(),
         image_logs=lines.image_logs.copy(),
-        sides=lines.sides.copy(),
         image_levels=lines.image_levels.copy(),
         levels=lines.levels.copy(),
         contrasts=lines.contrasts.copy(),
