@@ -25,9 +25,12 @@ _AROUND = 13e-3
 _DARKEST, _BRIGHTEST = -6.0, 14.0
 """Limits of a cell's level above its surroundings, in dB."""
 
-_SHADOWED, _LIT = 10.0, 90
-"""How far in dB the level lies below that at its depth where no sound arrives, and the percentile
-of the levels at a depth that stands for it."""
+_SHADOWED, _LIT = np.float32(7.0), 0.9
+"""How far in dB the level lies below that at its depth where no sound arrives, and the share of the
+levels at a depth that lie below the one that stands for it."""
+
+_NO_LEVEL = -1e3
+"""Level in dB at a depth of which nothing is seen."""
 
 _UNLIKE = 3.0
 """Difference in dB of two cells' levels at which they tell half as much about a shift: something
@@ -102,10 +105,11 @@ def cells_of(volume: Volume) -> Cells:
     share = uniform_filter(seen.astype(np.float32), window, mode="constant")
     around = uniform_filter(means, window, mode="constant") / np.maximum(share, np.float32(0.05))
     levels = np.where(seen, np.clip(means - around, _DARKEST, _BRIGHTEST), np.float32(0))
-    depths = np.where(seen, around, np.nan).swapaxes(0, 1).reshape(around.shape[1], -1)
-    darkest = np.full(len(depths), -1e3, np.float32)
-    shown = ~np.isnan(depths).all(axis=1)
-    darkest[shown] = np.nanpercentile(depths[shown], _LIT, axis=1) - _SHADOWED
+    by_depth = np.where(seen, around, np.float32(-np.inf)).swapaxes(0, 1)
+    ranked = np.sort(by_depth.reshape(len(by_depth), -1), axis=1)
+    brighter = ((1 - _LIT) * seen.sum(axis=(0, 2))).astype(int)
+    darkest = ranked[np.arange(len(ranked)), ranked.shape[1] - 1 - brighter] - _SHADOWED
+    darkest = np.maximum(darkest, np.float32(_NO_LEVEL))
     lit = seen & (around > darkest[:, np.newaxis])
     return Cells(levels, seen, lit, darkest, volume.position(0.5 * size - 0.5), edges)
 

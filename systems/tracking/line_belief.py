@@ -363,7 +363,8 @@ def _lit(each: Remembered, points: Floats, directions: Floats) -> LineLevels:
     """Return the levels along lines in P where sound arrives: a shadow tells nothing."""
     found = line_levels(each.volume, points, directions)
     darkest = each.cells.darkest_at(points[:, 1:2] + MIDDLES * directions[:, 1:2])
-    return found.where(found.levels - found.contrasts > darkest)
+    beside = found.levels - found.contrasts
+    return found.where(np.minimum(found.levels, beside) > darkest)
 
 
 @np.errstate(invalid="ignore")

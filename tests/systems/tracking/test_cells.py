@@ -25,7 +25,8 @@ def cells(X_TP=None, noise=0.0, seed=0):
     p_T = X_TP.multiply(p.T).T / 1.5e-3 + 40
     levels = map_coordinates(WORLD, p_T.T, order=3).reshape(SHAPE)
     levels += noise * np.random.default_rng(seed).normal(size=SHAPE)
-    return Cells(levels.astype(np.float32), np.ones(SHAPE, bool), origin, EDGES)
+    lit = np.ones(SHAPE, bool)
+    return Cells(levels.astype(np.float32), lit, lit, np.zeros(SHAPE[1], "f4"), origin, EDGES)
 
 
 @pytest.mark.parametrize("breath", [[0.4e-3, -0.7e-3, 0.2e-3], [0, 1e-3, 4.5e-3]])
@@ -45,9 +46,22 @@ def test_what_comes_in_between_does_not_move_the_tissue():
     np.testing.assert_allclose(shift, [0.5e-3, 0, 0.5e-3], atol=0.1e-3)
 
 
+def test_what_rides_with_the_probe_does_not_move_the_tissue():
+    """Two fifths of the image ride along; the probe moves by two cells."""
+    X_BN = RigidTransform([3e-3, 0, 0])
+    before, now = cells(), cells(X_BN)
+    riding = np.arange(SHAPE[2]) < 0.4 * SHAPE[2]
+    pattern = cells(RigidTransform([0, 0, 0.04])).levels
+    before, now = (
+        replace(each, levels=np.where(riding, pattern, each.levels)) for each in (before, now)
+    )
+    shift, _ = tissue_shift(now, before, X_BN.GetAsMatrix4(), STARTS)
+    np.testing.assert_allclose(shift, 0, atol=0.4e-3)
+
+
 def test_nothing_in_common_is_no_shift():
-    unseen = replace(cells(), seen=np.zeros(SHAPE, bool))
-    for each in tissue_shift(unseen, cells(), np.eye(4), STARTS):
+    dark = replace(cells(), lit=np.zeros(SHAPE, bool))
+    for each in tissue_shift(dark, cells(), np.eye(4), STARTS):
         np.testing.assert_array_equal(each, 0)
 
 
@@ -56,6 +70,7 @@ def test_cells_are_the_means_of_what_was_seen_above_their_surroundings():
     seen[:, :20] = False
     levels = np.where(seen, 80.0, 0.0)
     levels[32:34, 39:42, 30:32] += 40.0
+    levels[:20, 20:, :30] -= 60.0  # a shadow
     spacing = np.array([0.75e-3, 0.5e-3, 0.75e-3])
     image = Volume(
         levels.astype(np.float32), np.array([-0.03, 0, -0.03]), spacing, RigidTransform(), 0.0,
@@ -72,6 +87,10 @@ def test_cells_are_the_means_of_what_was_seen_above_their_surroundings():
     assert not found.seen[:, :6].any()
     assert found.seen[:, 8:].all()
     assert np.all(found.levels[~found.seen] == 0)
-    far = found.seen.copy()
+    np.testing.assert_allclose(found.darkest_at(np.array([0.02])), 13.0, atol=0.1)
+    assert not found.lit[:7, 14:, :12].any()
+    assert found.lit[14:, 8:].all()
+    far = found.seen & found.lit
+    far[:16, :, :22] = False  # around the shadow
     far[i - 9 : i + 10, j - 9 : j + 10, k - 9 : k + 10] = False
     np.testing.assert_allclose(found.levels[far], 0, atol=0.3)

@@ -120,6 +120,20 @@ def test_a_volume_without_contact_does_not_move_the_tissue():
         assert np.linalg.norm(remembered.displacement) < 0.3e-3
 
 
+def test_what_comes_out_of_a_shadow_is_no_needle():
+    """The border of the shadow goes along the wire as fast as a needle would."""
+    images, x = [], SPACING * np.arange(SHAPE[0])[:, np.newaxis, np.newaxis]
+    for each in volumes(False, False):
+        shaded = np.clip((x - 0.01 - 9e-3 * each.time) / 2e-3, 0, 1)
+        levels = np.clip(each.intensities - 110 * shaded, 1, 255).astype(np.uint8)
+        images.append(replace(each, intensities=levels))
+    belief = followed(images)
+    for remembered in belief.memory:
+        assert np.linalg.norm(remembered.displacement) < 1e-3
+    assert along(belief.hypotheses, *WIRE).any()
+    assert belief.hypotheses.probabilities.max() < 0.5
+
+
 def test_the_same_volumes_give_the_same_bits():
     first, second = (followed(volumes(True, True)[:6]).hypotheses for _ in range(2))
     for name in ("ends", "probabilities", "classes", "looks", "looked", "numbers"):
