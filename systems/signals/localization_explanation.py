@@ -10,6 +10,7 @@ from sonoservo.systems.signals.immutable import Immutable, NotFound, Shape, Vect
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
 from sonoservo.systems.signals.needle_prediction import NeedlePrediction
+from sonoservo.systems.signals.requirements import Fraction
 from sonoservo.systems.signals.tissue_record import TissueRecord
 
 Floats = NDArray[np.float64]
@@ -121,6 +122,9 @@ class NeedleExtent(Immutable):
 
     ahead: Annotated[NDArray[np.bool_], Shape("m", dtype=np.bool_)]
     """Flags of the samples where the tip has surely not been."""
+
+    as_before: Fraction
+    """Probability that the tissue is where it was before the needle came."""
 
 
 @dataclass(frozen=True, eq=False)

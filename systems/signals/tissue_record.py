@@ -45,15 +45,23 @@ class TissueRecord(Immutable):
         looks = np.interp(distance, known, self.looks, left=0.0, right=0.0)
         return np.interp(distance, known, self.contrast), looks
 
-    def seen(self, distance: Floats, contrast: Floats, ahead: NDArray[np.bool_]) -> "TissueRecord":
+    def seen(
+        self,
+        distance: Floats,
+        contrast: Floats,
+        ahead: NDArray[np.bool_],
+        as_before: float = 1.0,
+    ) -> "TissueRecord":
         """Return the record after a look at (n,) distances from the entry in m.
 
-        The contrast in dB counts where ``ahead`` flags that the needle has not been.
+        The contrast in dB counts where ``ahead`` flags that the needle has not been, and the looks
+        before by the probability ``as_before`` that the tissue has not moved since.
         """
         samples = max(len(self.looks), int(distance[-1] / self.step) + 1)
         known = self.step * np.arange(samples)
         looks, mean = np.zeros(samples), np.zeros(samples)
-        looks[: len(self.looks)], mean[: len(self.looks)] = self.looks, self.contrast
+        looks[: len(self.looks)] = as_before * self.looks
+        mean[: len(self.looks)] = self.contrast
         now = np.interp(known, distance, contrast)
         looked = np.interp(known, distance, ahead, left=0.0, right=0.0) == 1
         looks[looked] = np.minimum(looks[looked] + 1, _REMEMBERED)

@@ -97,7 +97,7 @@ def _attempt(
     known = region.entry if region.entry is not None else measured.curve.entry
     distance = looked["profile"].a - float(fit.axis.abscissa(known))
     tissue = (region.tissue or TissueRecord.unseen(parameters.tip.step)).seen(
-        distance, extent.contrast, extent.ahead
+        distance, extent.contrast, extent.ahead, extent.as_before
     )
     return replace(measured, tissue=tissue)
 

@@ -201,7 +201,6 @@ def find_extent(profile: AxisProfile, parameters: TipParameters) -> NeedleExtent
     samples = max(1, round(parameters.smoothing / step))
     level = uniform_filter1d(profile.level, samples, mode="nearest")
     contrast = level - uniform_filter1d(profile.background, samples, mode="nearest")
-    tissue = _expected_tissue(profile)
     first, last, evidence = most_evident_stretch(
         contrast,
         profile.seen,
@@ -216,8 +215,21 @@ def find_extent(profile: AxisProfile, parameters: TipParameters) -> NeedleExtent
         width = np.full(len(contrast), parameters.beam_width or _TYPICAL_WIDTH)
     share = step / np.maximum(width, parameters.smoothing)
     sigma = width / FWHM_PER_SIGMA
-    logs, beyond, tops = _end_logs(contrast, profile.seen, tissue, share, sigma, step, first)
-    weights, rest = _end_weights(profile.a, first, logs, beyond)
+    # The tissue is as it was before the needle came, or it has moved; both are as probable.
+    nothing = np.zeros(len(contrast))
+    cases = [(nothing, nothing)]
+    if profile.before is not None and profile.looks is not None:
+        cases.append((profile.before, profile.looks))
+    each, beyonds, (tops, *_) = zip(
+        *(
+            _end_logs(contrast, profile.seen, _tissue(*case), share, sigma, step, first)
+            for case in cases
+        ),
+        strict=True,
+    )
+    logs, beyond = np.logaddexp.reduce(each), float(np.logaddexp.reduce(beyonds))
+    weights, rest, total = _end_weights(profile.a, first, logs, beyond)
+    _, _, as_before = _end_weights(profile.a, first, each[-1], beyonds[-1])
     passed = np.interp(profile.a - 3 * sigma, profile.a, np.cumsum(weights))
     places = _places(profile.a, weights.copy(), rest)
     seen, tip, std = places[0]
@@ -245,19 +257,18 @@ def find_extent(profile: AxisProfile, parameters: TipParameters) -> NeedleExtent
         evidence=evidence,
         contrast=contrast,
         ahead=profile.seen & (passed > _SURE),
+        as_before=min(math.exp(as_before - total), 1.0),
     )
 
 
-def _expected_tissue(profile: AxisProfile) -> NDArray[np.float64]:
+def _tissue(before: NDArray[np.float64], looks: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return (m, 3) properties of the contrasts that are expected where the needle is not.
 
     They are means and deviations in dB, and shares of the structures that were not seen before.
     """
-    if profile.before is None or profile.looks is None:
-        return np.tile([0.0, _NOTHING, 1.0], (len(profile.a), 1))
-    gain = profile.looks / (profile.looks + (1 - _LASTS) / _LASTS)
+    gain = looks / (looks + (1 - _LASTS) / _LASTS)
     std = _NOTHING * np.sqrt(1 - _LASTS * gain)
-    return np.stack([gain * profile.before, std, 1 - gain], axis=1)
+    return np.stack([gain * before, std, 1 - gain], axis=1)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -373,14 +384,17 @@ def _end_logs(  # pragma: no cover - compiled
 
 def _end_weights(
     a: NDArray[np.float64], first: int, logs: NDArray[np.float64], beyond: float
-) -> tuple[NDArray[np.float64], float]:
-    """Return the (m,) probabilities that the tip is at each sample, and that it lies beyond all."""
+) -> tuple[NDArray[np.float64], float, float]:
+    """Return the (m,) probabilities that the tip is at each sample, and that it lies beyond all.
+
+    The last value is the logarithm of the evidence for all of them.
+    """
     top = max(float(logs.max()), beyond)
     farther = (a - a[first]) / REACH
     weights = np.exp(logs - top - farther) * (float(a[1] - a[0]) / REACH)
     rest = math.exp(beyond - top - farther[-1])
     total = weights.sum() + rest
-    return weights / total, rest / total
+    return weights / total, rest / total, top + math.log(total)
 
 
 def _places(

@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from pydrake.math import RigidTransform, RollPitchYaw
-from scipy.ndimage import gaussian_filter1d
+from scipy.ndimage import gaussian_filter1d, uniform_filter1d
 from scipy.special import ndtr
 from synthetic_volumes import Scene, entry_on_side
 
@@ -239,3 +239,14 @@ def test_only_places_that_the_tip_has_surely_not_reached_are_a_record_of_the_tis
     assert not extent.ahead[a < 0.03 + 3 * SIGMA].any()
     assert extent.ahead[(a > 0.03 + 6 * SIGMA) & (a < 0.08)].all()
     assert not extent.ahead[a >= 0.08].any()  # not seen
+
+
+def test_a_record_of_tissue_that_has_moved_since_is_not_believed():
+    rng = np.random.default_rng(0)
+    needle = profile(0.03)
+    speckle = uniform_filter1d(rng.normal(size=len(needle.a)), 8) * 2.2 * np.sqrt(8)
+    needle = replace(needle, level=np.maximum(needle.level, 20 + speckle))
+    moved = find_extent(looked_at(needle, -3 * speckle + 4), PARAMETERS)
+    assert moved.as_before < 0.01
+    assert moved.tip == pytest.approx(0.03, abs=1.5e-3)
+    assert find_extent(looked_at(needle, speckle), PARAMETERS).as_before > 0.99

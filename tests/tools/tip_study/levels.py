@@ -91,7 +91,7 @@ def log_probabilities(sequence):
         extent = tip.find_extent(replace(profile, before=before, looks=looks), PARAMETERS)
         yield log_probability(extent, end)
         if not isinstance(extent, NotFound):
-            tissue = tissue.seen(profile.a - entry, extent.contrast, extent.ahead)
+            tissue = tissue.seen(profile.a - entry, extent.contrast, extent.ahead, extent.as_before)
 
 
 def log_probability(extent, end):
