@@ -242,11 +242,13 @@ def test_only_places_that_the_tip_has_surely_not_reached_are_a_record_of_the_tis
 
 
 def test_a_record_of_tissue_that_has_moved_since_is_not_believed():
-    rng = np.random.default_rng(0)
-    needle = profile(0.03)
-    speckle = uniform_filter1d(rng.normal(size=len(needle.a)), 8) * 2.2 * np.sqrt(8)
-    needle = replace(needle, level=np.maximum(needle.level, 20 + speckle))
-    moved = find_extent(looked_at(needle, -3 * speckle + 4), PARAMETERS)
-    assert moved.as_before < 0.01
-    assert moved.tip == pytest.approx(0.03, abs=1.5e-3)
-    assert find_extent(looked_at(needle, speckle), PARAMETERS).as_before > 0.99
+    moved = []
+    for seed in range(5):
+        noise = np.random.default_rng(seed).normal(size=(2, len(profile(0.03).a)))
+        speckle, other = 1.9 * np.sqrt(8) * uniform_filter1d(noise, 8)
+        needle = replace(profile(0.03), level=profile(0.03).level + speckle)
+        assert find_extent(looked_at(needle, speckle), PARAMETERS).as_before > 0.99
+        extent = find_extent(looked_at(needle, other), PARAMETERS)
+        assert extent.tip == pytest.approx(0.03, abs=1e-3)
+        moved.append(extent.as_before)
+    assert np.median(moved) < 0.1
