@@ -222,6 +222,8 @@ class TrackLifecycle:
             return Track.without_needle(time, SearchReason.WITHDRAWN())
         # No robot goes after a needle that was last seen to come out.
         lost = self._is_leaving(state) or missed >= p.volumes_to_lose
+        if lost and track.search is not None:
+            return self._miss(track.search, time, None, reason)
         mode = TrackingMode.LOST if lost else TrackingMode.COASTING
         return replace(track, mode=mode, time=state.time, state=state, reason=reason)
 

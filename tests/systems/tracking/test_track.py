@@ -125,6 +125,9 @@ def test_a_line_that_is_none_says_what_it_is_like(kind, words):
     reason = life.predict(nothing, 1.0, STILL, lines(needle=0.9, kind=kind)).reason
     assert (reason, SearchReason.of(str(reason)).words) == (words, words)
     assert life.predict(nothing, 1.0, STILL, NO_LINES) is NO_LINES
+    seen = lines(needle=0.9, kind=kind)
+    unsure = dataclasses.replace(seen, classes=0.9 * seen.classes)
+    assert "yet" in life.predict(nothing, 1.0, STILL, unsure).reason
 
 
 @pytest.mark.parametrize(
@@ -176,6 +179,11 @@ def test_a_line_found_aside_stays_the_needle_by_its_looks_alone():
     assert (again.mode, again.probability) == (TrackingMode.TRACKING, pytest.approx(found))
     refuted = seen(again, 2.5, -2.0)
     assert (refuted.mode, refuted.since) == (TrackingMode.LOST, lost.since)
+    gone = again
+    for time in (2.5, 2.8, 3.1, 3.4):  # not seen any more, it is sought where it was lost
+        gone = life.next(gone, time, **NOTHING)
+    assert (gone.mode, gone.since, gone.search) == (TrackingMode.LOST, lost.since, None)
+    np.testing.assert_allclose(gone.state.curve.tip, lost.state.curve.tip)
     sure = seen(again, 2.5, 6.0)
     assert life.next(sure, 2.8, **NOTHING | {"measurement": measurement(time=2.8, y=0.03)})
     # Where the needle was lost, the same looks leave no doubt.
