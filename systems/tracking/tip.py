@@ -196,7 +196,7 @@ def find_extent(profile: AxisProfile, parameters: TipParameters) -> NeedleExtent
     # It begins where the `most_evident_stretch` does. Its tip is a change point: the contrast
     # follows the needle's level so far, which may fade, up to a blurred end. The needle may hide
     # and show again, and beyond its end there may be structures, so what shines beyond a gap is
-    # either: then the contrast does not tell where the needle ends.
+    # either, unless the tissue there was seen before the needle came.
     step = float(profile.a[1] - profile.a[0])
     samples = max(1, round(parameters.smoothing / step))
     level = uniform_filter1d(profile.level, samples, mode="nearest")
