@@ -84,6 +84,7 @@ class ExplainedVolume(Log):
     profile_level: Array = column("intensity along the axis", "dB", "k")
     profile_background: Array = column("intensity beside it", "dB", "k")
     profile_seen: Array = column("whether the volume shows it", "", "k", "?")
+    profile_before: Array = column("contrast before the needle came; NaN where unknown", "dB", "k")
     contrast: Array = column("threshold of the level over the background", "dB")
     start: Array = column("abscissa of the needle's visible start", "m")
     tip: Array = column("abscissa of its tip", "m")
@@ -229,6 +230,9 @@ def _search(explanation: LocalizationExplanation) -> dict[str, Any]:
             found |= {"profile": profile.p_W, "contrast": profile.contrast}
             for name in ("a", "level", "background", "seen"):
                 found[f"profile_{name}"] = getattr(profile, name)
+            found["profile_before"] = np.full(len(profile.a), np.nan)
+            if profile.before is not None and profile.looks is not None:
+                found["profile_before"] = np.where(profile.looks > 0.5, profile.before, np.nan)
         if extent is not None:
             found |= {"start": extent.start, "tip": extent.tip}
             found |= {"leaves": extent.leaves, "tip_seen": extent.seen}

@@ -192,6 +192,11 @@ def _draw_profile(axes: Axes, explained: ExplainedVolume, needle: Array) -> None
             a, background + explained.contrast, color=_QUIET, linestyle="--", linewidth=1.0,
             label=f"threshold: {float(explained.contrast):.0f} dB over it",
         )  # fmt: skip
+    if np.isfinite(explained.profile_before).any():
+        axes.plot(
+            a, background + explained.profile_before, color=ESTIMATED, linestyle=":", linewidth=1.6,
+            label="before the needle came",
+        )  # fmt: skip
     axes.fill_between(
         a, 0, 1, where=unseen, transform=axes.get_xaxis_transform(), color="0.9", linewidth=0,
         label="unseen" if unseen.any() else None,
