@@ -36,9 +36,9 @@ _FASTEST = 1.0  # highest speed in m/s at which a hand or a robot moves a probe
 _AXIAL_MM, _ACROSS_MM = (0.05, 3.0), (0.15, 12.0)
 """Widths of speckle along and across the sound, of probes from 2 to 20 MHz."""
 
-_RAYLEIGH = 0.63
-"""Skewness of the amplitudes of fully developed speckle; that of their logarithms is -1.1. Noise
-and averaging bring both nearer to 0."""
+_RAYLEIGH, _LOGARITHM = 0.63, -1.14
+"""Skewness of the amplitudes of fully developed speckle, and of their logarithms; that of the
+powers is 2. Noise and averaging bring all nearer to 0."""
 
 _BLOCK, _LEAST_BLOCKS = 8e-3, 5
 """Edge length in m of the blocks whose skewness is measured, and number of them that tells it."""
@@ -158,6 +158,10 @@ class _Fault(Enum):
               "its numbers are amplitudes, it seems: their speckle has a skewness of "
               "{skewness:.2f}, and below {most:.2f} if it is log-compressed",
               "compress them (20 log10), as scanners do for their screens")  # fmt: skip
+    POWERS = (Check.CONTENT, Grade.DOUBTFUL,
+              "it is dark where the echo is strong, or its numbers are powers, it seems: their "
+              "speckle has a skewness of {skewness:.2f}, and below 0 if it is log-compressed",
+              "turn the grey levels round, or compress the powers (10 log10)")  # fmt: skip
     SATURATED = (Check.CONTENT, Grade.DOUBTFUL,
                  "{share:.0f} % of what was seen is as bright as can be",
                  "lower the scanner's gain, or widen --window")  # fmt: skip
@@ -229,7 +233,9 @@ def check_times(times: ArrayLike, what: str = "volumes") -> list[Finding]:
         findings.append(_Fault.SLOW(what=what, period=period))
     if jitter > _JITTER:
         findings.append(_Fault.JITTER(what=what, share=100 * jitter))
-    gaps = rising[rising > _GAP * period]
+    # A time beside which time runs back is wrong, and no gap.
+    beside = np.minimum(np.append(steps[1:], period), np.append(period, steps[:-1]))
+    gaps = steps[(steps > _GAP * period) & (beside > 0)]
     if len(gaps):
         missing = int(np.round(gaps / period - 1).sum())
         found = _Fault.GAPS(gaps=len(gaps), longest=gaps.max(), missing=missing, what=what)
@@ -364,6 +370,8 @@ def _check_compression(volume: Volume) -> list[Finding]:
     if len(blocks) < _LEAST_BLOCKS:
         return []
     skewness, most = float(np.median(skew(blocks, axis=1))), _RAYLEIGH / 2
+    if skewness > (_RAYLEIGH - _LOGARITHM) / 2:
+        return [_Fault.POWERS(skewness=skewness)]
     return [_Fault.LINEAR(skewness=skewness, most=most)] if skewness > most else []
 
 

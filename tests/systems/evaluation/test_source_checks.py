@@ -168,6 +168,20 @@ def test_amplitudes_that_are_not_log_compressed_are_told():
     amplitude = 10 ** (volume.intensities.astype(np.float32) * 60 / 255 / 20)
     linear = replace(volume, intensities=np.float32(255 / amplitude.max()) * amplitude)
     assert "its numbers are amplitudes" in worst(check_volume(linear))[1]
+    inverted = replace(volume, intensities=255 - volume.intensities)
+    assert "it is dark where the echo is strong" in worst(check_volume(inverted))[1]
+    power = replace(volume, intensities=np.float32(255 / amplitude.max() ** 2) * amplitude**2)
+    assert "or its numbers are powers" in worst(check_volume(power))[1]
+
+
+def test_a_wrong_time_is_no_gap():
+    times = 0.1 * np.arange(30)
+    for wrong in (50.0, -50.0):
+        odd = times.copy()
+        odd[12] = wrong
+        texts = [each.text for each in check_times(odd)]
+        assert not any("gaps" in each for each in texts)
+        assert any("not later" in each or "back" in each for each in texts)
 
 
 @pytest.mark.parametrize(("delay", "std", "needed"), [(0.06, 0.005, True), (0.06, 0.05, False)])
