@@ -11,6 +11,7 @@ from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_prediction import NeedlePrediction
 from sonoservo.systems.tracking.axis import Axis
 from sonoservo.systems.tracking.localizer_parameters import NeedleLocalizerParameters
+from sonoservo.systems.tracking.tip import REACH
 
 EVERYWHERE = 0.3
 """Length that exceeds any volume, in m."""
@@ -53,7 +54,8 @@ def predicted_region(
         radius=min(margin + 3 * across, parameters.max_radius),
         before=margin,
         shaft_beyond=min(along, margin),
-        beyond=min(3 * along + margin, 3 * parameters.max_radius),
+        # The tissue ahead is looked at before the needle comes there.
+        beyond=min(3 * along + margin, 3 * parameters.max_radius) + REACH,
         max_angle=min(
             math.radians(parameters.max_angle_deg) + math.atan2(3 * across, max(curve.chord, 1e-3)),
             math.pi / 2,

@@ -56,6 +56,9 @@ which most of that goes (Nichols et al. 2003, and the echo of a steel cylinder).
 REACH = 20e-3
 """Mean length in m of what is not seen of a needle, beyond where it was last seen."""
 
+_MOVES = 0.05
+"""Probability that the tissue has moved in W since the last volume, so that it tells nothing."""
+
 _SURE = 0.95
 """Probability that the tip was not at a place from which on that place is a record of tissue."""
 
@@ -215,21 +218,21 @@ def find_extent(profile: AxisProfile, parameters: TipParameters) -> NeedleExtent
         width = np.full(len(contrast), parameters.beam_width or _TYPICAL_WIDTH)
     share = step / np.maximum(width, parameters.smoothing)
     sigma = width / FWHM_PER_SIGMA
-    # The tissue is as it was before the needle came, or it has moved; both are as probable.
+    # The tissue is as it was before the needle came, or it has moved since the last volume.
     nothing = np.zeros(len(contrast))
-    cases = [(nothing, nothing)]
+    cases = [(nothing, nothing, 1.0)]
     if profile.before is not None and profile.looks is not None:
-        cases.append((profile.before, profile.looks))
-    each, beyonds, (tops, *_) = zip(
-        *(
-            _end_logs(contrast, profile.seen, _tissue(*case), share, sigma, step, first)
-            for case in cases
-        ),
-        strict=True,
+        cases = [(nothing, nothing, _MOVES), (profile.before, profile.looks, 1 - _MOVES)]
+    logs, beyond = [], []
+    for before, looks, prior in cases:
+        tissue = _tissue(before, looks)
+        ends, past, tops = _end_logs(contrast, profile.seen, tissue, share, sigma, step, first)
+        logs.append(ends + math.log(prior))
+        beyond.append(past + math.log(prior))
+    weights, rest, total = _end_weights(
+        profile.a, first, np.logaddexp.reduce(logs), float(np.logaddexp.reduce(beyond))
     )
-    logs, beyond = np.logaddexp.reduce(each), float(np.logaddexp.reduce(beyonds))
-    weights, rest, total = _end_weights(profile.a, first, logs, beyond)
-    _, _, as_before = _end_weights(profile.a, first, each[-1], beyonds[-1])
+    _, _, as_before = _end_weights(profile.a, first, logs[-1], beyond[-1])
     passed = np.interp(profile.a - 3 * sigma, profile.a, np.cumsum(weights))
     places = _places(profile.a, weights.copy(), rest)
     seen, tip, std = places[0]
@@ -266,9 +269,12 @@ def _tissue(before: NDArray[np.float64], looks: NDArray[np.float64]) -> NDArray[
 
     They are means and deviations in dB, and shares of the structures that were not seen before.
     """
-    gain = looks / (looks + (1 - _LASTS) / _LASTS)
-    std = _NOTHING * np.sqrt(1 - _LASTS * gain)
-    return np.stack([gain * before, std, 1 - gain], axis=1)
+    # How much of a contrast lasts is not known beforehand, as structures stand out: that seen tells.
+    lasting, changing = _LASTS * _NOTHING**2 + before**2, (1 - _LASTS) * _NOTHING**2
+    gain = looks * lasting / (looks * lasting + changing)
+    mean = gain * before
+    std = np.sqrt(changing + (1 - gain) * lasting) + _SPREAD * np.clip(mean, 0.0, 16.0)
+    return np.stack([mean, std, 1 - gain], axis=1)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
