@@ -269,7 +269,7 @@ def _tissue(before: NDArray[np.float64], looks: NDArray[np.float64]) -> NDArray[
 
     They are means and deviations in dB, and shares of the structures that were not seen before.
     """
-    # How much of a contrast lasts is not known beforehand, as structures stand out: that seen tells.
+    # Structures stand out by any level, so how much of a contrast lasts is told by what was seen.
     lasting, changing = _LASTS * _NOTHING**2 + before**2, (1 - _LASTS) * _NOTHING**2
     gain = looks * lasting / (looks * lasting + changing)
     mean = gain * before
