@@ -216,11 +216,13 @@ def looked_at(needle, contrast, looks=8.0):
 
 
 @pytest.mark.parametrize("ahead", [4e-3, 6e-3, 12e-3])
-def test_what_was_there_before_the_needle_came_is_not_its_end(ahead):
+@pytest.mark.parametrize("bright", [15.0, 40.0])
+def test_what_was_there_before_the_needle_came_is_not_its_end(ahead, bright):
     needle = profile(0.03)
-    spot = 20.0 * np.exp(-0.5 * ((needle.a - 0.03 - ahead) / 1.2e-3) ** 2)
+    spot = bright * np.exp(-0.5 * ((needle.a - 0.03 - ahead) / 1.2e-3) ** 2)
     needle = replace(needle, level=np.maximum(needle.level, 20 + spot))
-    extent = find_extent(looked_at(needle, spot), PARAMETERS)
+    seen = spot + np.random.default_rng(0).normal(scale=1.0, size=len(spot))
+    extent = find_extent(looked_at(needle, seen), PARAMETERS)
     assert extent.tip == pytest.approx(0.03, abs=1e-3)
     assert extent.tip_std < 2e-3
     assert extent.seen > 0.99
