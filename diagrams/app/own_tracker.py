@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TypeAlias
 
+import numpy as np
 from pydrake.common.value import Value
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State, System
 
@@ -11,6 +12,8 @@ from sonoservo.diagrams.benchmark.entrants import Step, checked, resolve_entrant
 from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
 from sonoservo.systems.signals.volume import Volume
+
+_FARTHEST = 1.0  # distance of a tip from the probe in m: no image is as deep
 
 OwnTracker: TypeAlias = System | Callable[[Volume], NeedleEstimate] | str
 """A system, a function from the next volume to the estimate after it, or ``module:factory`` of
@@ -95,6 +98,13 @@ class _FunctionTracker(LeafSystem):
             raise ConfigurationError(
                 f"{self._name}: an estimate with a curve needs its velocity and covariance as well"
             )
+        if estimate.curve is not None:
+            away = float(np.linalg.norm(estimate.curve.tip - volume.X_WP.translation()))
+            if away > _FARTHEST:
+                raise ConfigurationError(
+                    f"{self._name}: its tip lies {away:.3g} m from the probe; a curve's control "
+                    "points are in W, in m"
+                )
         if estimate.volume_time < volume.time:
             estimate = replace(estimate, volume_time=volume.time)
         state.get_mutable_abstract_state(self._newest).set_value(volume)

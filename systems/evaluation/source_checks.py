@@ -28,6 +28,14 @@ arrival rather than of acquisition."""
 _NOT_RIGID = 1e-2  # deviation of a matrix from a rotation that rounding to two decimals explains
 _STILL_MM, _STILL_DEG = 0.02, 0.01  # spread of poses of a tracker that measures: none is quieter
 
+_LEVER_MM = 1.0  # no tracked tool turns about a point that is nearer to it
+_TOOLS = ("Probe", "Image")  # beginnings of the names of transforms from what a hand moves
+_INVERTED, _WIDE_MM = 4.0, 50.0
+"""Ratio of the motion of a transform to that of its inverse above which that is the probe's: the
+world turns widely about a probe that turns. And the least motion in mm that tells."""
+
+_COARSEST_MM = 1.0  # largest pixels; inverted calibrations have larger ones
+
 _REPEATED = 0.2
 """Share of poses that repeat the one before to the last digit, above which a tracker is slower."""
 
@@ -142,9 +150,18 @@ class _Fault(Enum):
     REPEATED = (Check.MOTION, Grade.DOUBTFUL,
                 "{name}: {share:.0f} % of the poses repeat the one before",
                 "let the tracker measure at least as often as images are taken")  # fmt: skip
+    UNMOVED = (Check.MOTION, Grade.DOUBTFUL,
+               "{name} turns by {turned:.3g} deg, but moves over {spread:.2g} mm only",
+               "are positions in mm?")  # fmt: skip
+    INVERTED = (Check.MOTION, Grade.DOUBTFUL,
+                "{name} moves over {spread:.3g} mm, and its inverse over {inverse:.3g} mm only",
+                "is it the wrong way round?")  # fmt: skip
     JUMPS = (Check.MOTION, Grade.DOUBTFUL,
              "{name} jumps faster than 1 m/s: {jumps} x, by up to {most:.3g} mm",
              _TRACKER)  # fmt: skip
+    COARSE_PIXELS = (Check.MATRIX, Grade.DOUBTFUL,
+                     "{name}: pixels of {x:.3g} x {y:.3g} mm, far larger than those of scanners",
+                     "is the calibration the right way round, from pixels to mm?")  # fmt: skip
     UNIT_SPACING = (Check.SPACING, Grade.DOUBTFUL,
                     "{shown} mm, which programs write that do not know it",
                     "look up the size of a voxel, and write it into the header")  # fmt: skip
@@ -164,7 +181,7 @@ class _Fault(Enum):
               "turn the grey levels round, or compress the powers (10 log10)")  # fmt: skip
     SATURATED = (Check.CONTENT, Grade.DOUBTFUL,
                  "{share:.0f} % of what was seen is as bright as can be",
-                 "lower the scanner's gain, or widen --window")  # fmt: skip
+                 "lower the scanner's gain, or widen --window; or are the grey levels inverted?")  # fmt: skip
     UPSIDE_DOWN = (Check.GRID, Grade.DOUBTFUL,
                    "the field of view is widest near the probe and narrows with depth, as if the "
                    "sound ran the other way",
@@ -233,9 +250,10 @@ def check_times(times: ArrayLike, what: str = "volumes") -> list[Finding]:
         findings.append(_Fault.SLOW(what=what, period=period))
     if jitter > _JITTER:
         findings.append(_Fault.JITTER(what=what, share=100 * jitter))
-    # A time beside which time runs back is wrong, and no gap.
-    beside = np.minimum(np.append(steps[1:], period), np.append(period, steps[:-1]))
-    gaps = steps[(steps > _GAP * period) & (beside > 0)]
+    # A time beside which time runs back, or is missing, is wrong, and no gap.
+    every = np.diff(np.asarray(times, float))
+    beside = np.minimum(np.append(every[1:], period), np.append(period, every[:-1]))
+    gaps = every[(every > _GAP * period) & (beside > 0)]
     if len(gaps):
         missing = int(np.round(gaps / period - 1).sum())
         found = _Fault.GAPS(gaps=len(gaps), longest=gaps.max(), missing=missing, what=what)
@@ -262,12 +280,20 @@ def check_matrices(name: str, matrices: ArrayLike) -> list[Finding]:
     if name.startswith("Image"):
         said = f"{name}: pixels of {scale[0]:.4g} x {scale[1]:.4g} mm"
         calibrated = not np.allclose(scale[:2], 1, atol=1e-6)
-        return [_fine(Check.MATRIX, said) if calibrated else _Fault.UNIT_PIXELS(said=said)]
+        if not calibrated:
+            return [_Fault.UNIT_PIXELS(said=said)]
+        return check_pixels(name, scale[:2]) or [_fine(Check.MATRIX, said)]
     if np.abs(scale - 1).max() > _NOT_RIGID:
         return [_Fault.SCALES(name=name, sizes=" x ".join(f"{each:.4g}" for each in scale))]
     if (np.linalg.det(unit) < 0).any():
         return [_Fault.MIRRORED(name=name)]
     return [_fine(Check.MATRIX, f"{name}: a rigid motion")]
+
+
+def check_pixels(name: str, sizes: ArrayLike) -> list[Finding]:
+    """Check the (2,) sizes of an image's pixels in mm."""
+    x, y = np.asarray(sizes, float).tolist()
+    return [_Fault.COARSE_PIXELS(name=name, x=x, y=y)] if max(x, y) > _COARSEST_MM else []
 
 
 def check_motion(name: str, matrices: ArrayLike, times: ArrayLike) -> list[Finding]:
@@ -283,14 +309,22 @@ def check_motion(name: str, matrices: ArrayLike, times: ArrayLike) -> list[Findi
     p = each[:, :3, 3]
     R = each[:, :3, :3] / np.linalg.norm(each[:, :3, :3], axis=1)[:, np.newaxis]
     turned = np.degrees(np.sqrt(np.square(R - R[0]).sum(axis=(1, 2)).max() / 2))
-    spread = float(np.ptp(p, axis=0).max())
+    spread, inverse = (
+        float(np.ptp(each, axis=0).max()) for each in (p, np.einsum("nji,nj->ni", R, p))
+    )
     if spread < _STILL_MM and turned < _STILL_DEG:
         text = (
             f"{name} never moves in {len(each)} poses, as of a probe that is held: delay and "
             "calibration cannot be judged, nor whether a tracker repeats its last pose"
         )
         return [*findings, _fine(Check.MOTION, text)]
-    findings.append(_fine(Check.MOTION, f"{name} moves over {spread:.3g} mm and {turned:.3g} deg"))
+    if spread < _LEVER_MM * np.radians(turned):
+        findings.append(_Fault.UNMOVED(name=name, spread=spread, turned=turned))
+    elif name.startswith(_TOOLS) and spread > max(_INVERTED * inverse, _WIDE_MM):
+        findings.append(_Fault.INVERTED(name=name, spread=spread, inverse=inverse))
+    else:
+        text = f"{name} moves over {spread:.3g} mm and {turned:.3g} deg"
+        findings.append(_fine(Check.MOTION, text))
     same = (each[1:] == each[:-1]).all(axis=(1, 2))
     if same.mean() > _REPEATED:
         findings.append(_Fault.REPEATED(name=name, share=100 * same.mean()))
@@ -319,9 +353,8 @@ def check_volume(volume: Volume) -> list[Finding]:
         return [_Fault.BLANK()]
     return [
         _check_empty(volume),
-        *_check_saturation(volume),
+        *(_check_compression(volume) or _check_saturation(volume)),
         *_check_direction(volume),
-        *_check_compression(volume),
         _check_speckle(volume),
     ]
 
@@ -366,7 +399,8 @@ def _check_compression(volume: Volume) -> list[Finding]:
     whole = volume.intensities[tuple(slice(n) for n in number * size)].astype(float)
     split = whole.reshape(np.column_stack([number, size]).ravel()).transpose(0, 2, 4, 1, 3, 5)
     blocks = split.reshape(number.prod(), size.prod())
-    blocks = blocks[((blocks == 0).mean(axis=1) < _CLIPPED) & (np.ptp(blocks, axis=1) > 0)]
+    clipped = ((blocks == 0) | (blocks >= volume.intensities.max())).mean(axis=1)
+    blocks = blocks[(clipped < _CLIPPED) & (np.ptp(blocks, axis=1) > 0)]
     if len(blocks) < _LEAST_BLOCKS:
         return []
     skewness, most = float(np.median(skew(blocks, axis=1))), _RAYLEIGH / 2

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sonoservo.systems.files.counting import counted
 from sonoservo.systems.files.natural_order import natural_order
 from sonoservo.systems.files.refusals import ConfigurationError, require_extra
 from sonoservo.systems.files.volume_file import VolumeFile, check_layout, require_frames
@@ -26,6 +27,9 @@ def open_png_folder(path: Path, *, frames: bool = False) -> VolumeFile:
     tables = sorted(path.glob("*.csv"))
     table = path / TABLE if path / TABLE in tables or len(tables) != 1 else tables[0]
     fields = read_pose_table(table, [each.name for each in files])
+    rows = len({name[: len("Seq_Frame0000")] for name in fields})
+    lacking = counted(len(files) - rows, "image")
+    notes = () if rows == len(files) else (f"{lacking} without a row in {table.name}",)
 
     def pixels(number: int) -> NDArray[Any]:
         with image.open(files[number]) as opened:
@@ -58,5 +62,5 @@ def open_png_folder(path: Path, *, frames: bool = False) -> VolumeFile:
         return as_frame(here, channels)
 
     return VolumeFile(
-        path, size, len(files), np.eye(3), np.zeros(3), read, None, fields, (), channels
+        path, size, len(files), np.eye(3), np.zeros(3), read, None, fields, notes, channels
     )

@@ -30,6 +30,7 @@ from sonoservo.systems.evaluation.source_checks import (
     check_matrices,
     check_motion,
     check_numbers,
+    check_pixels,
     check_seen,
     check_spacing,
     check_times,
@@ -175,14 +176,21 @@ def brief_finding(opened: Opened) -> str:
     findings = _check_header(file, opened.times, "volumes")
     if isinstance(opened, Recording):
         findings += check_spacing(np.linalg.norm(file.directions, axis=0))
-    worst = gravest(findings)
-    return "" if worst is None else f"{worst}. `sonoservo check {opened.path}` tells more."
+    else:
+        findings += check_pixels("the frames", opened.pixel_sizes)
+    return _on_one_line(gravest(findings), opened.path)
 
 
 def brief_stream_finding(source: LiveSource) -> str:
     """Return the gravest finding about the times of a stream, on one line; may be empty."""
-    worst = gravest(check_times(list(source.times), "images"))
-    return "" if worst is None else f"{worst}. `sonoservo check {source.address}` tells more."
+    return _on_one_line(gravest(check_times(list(source.times), "images")), source.address)
+
+
+def _on_one_line(worst: Finding | None, source: object) -> str:
+    if worst is None:
+        return ""
+    end = "" if str(worst).endswith("?") else "."
+    return f"{worst}{end} `sonoservo check {source}` tells more."
 
 
 def _check_header(file: VolumeFile, times: Any, what: str) -> list[Finding]:
@@ -265,6 +273,7 @@ def _check_frames(checked: CheckedSource, volumes: ReconstructedRecording) -> No
     checked.show(volume, volume.X_WP.rotation())
     sweeps = [volumes.sweep(number) for number in range(min(len(volumes), _SWEEPS))]
     checked.findings += [*check_across(sweeps), *check_delay(sweep_delay(sweeps))]
+    checked.findings += check_pixels("the frames", volumes.pixel_sizes)
 
 
 def _letter(axis: Any) -> str:

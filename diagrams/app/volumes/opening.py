@@ -100,6 +100,11 @@ class ReconstructedRecording:
         return RigidTransform()
 
     @property
+    def pixel_sizes(self) -> NDArray[np.float64]:
+        """(2,) width and height of a pixel in mm, by the calibration."""
+        return np.asarray(1e3 * np.linalg.norm(self._frames.X_WI[0][:3, :2], axis=0))
+
+    @property
     def skipped(self) -> int:
         """Number of frames left out, with those so far that hold nothing."""
         return self._frames.skipped + len(self._frames.void)

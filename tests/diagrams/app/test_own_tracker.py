@@ -38,6 +38,16 @@ def bare():
         return NeedleEstimate(TrackingMode.TRACKING, volume.time, curve=curve)
     return track
 
+def millimetres():
+    def track(volume):
+        estimate = make()(volume)
+        curve = NeedleCurve(1e3 * estimate.curve.control_points)
+        return NeedleEstimate(
+            TrackingMode.TRACKING, volume.time, curve=curve, velocity=estimate.velocity,
+            covariance=estimate.covariance, volume_time=volume.time,
+        )
+    return track
+
 def timeless():
     return lambda volume: NeedleEstimate(TrackingMode.SEARCHING, volume.time)
 
@@ -96,6 +106,8 @@ def test_what_is_no_tracker_is_refused(mine, capsys):
         run("chatelain2013_fig5", changes=SHORT, tracker="own_tracker_of_a_test:wrong")
     with pytest.raises(ConfigurationError, match="needs its velocity and covariance"):
         run("chatelain2013_fig5", changes=SHORT, tracker="own_tracker_of_a_test:bare")
+    with pytest.raises(ConfigurationError, match="m from the probe; .* are in W, in m"):
+        run("chatelain2013_fig5", changes=SHORT, tracker="own_tracker_of_a_test:millimetres")
     with pytest.raises(ConfigurationError, match="tracker of yours failed.*division by zero"):
         run("chatelain2013_fig5", changes=SHORT, tracker="own_tracker_of_a_test:failing")
     with pytest.raises(ConfigurationError, match="plain: it is called without arguments"):

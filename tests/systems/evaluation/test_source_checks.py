@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from pydrake.math import RigidTransform
+from pydrake.math import RigidTransform, RollPitchYaw
 from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.spatial.transform import Rotation
 
@@ -16,6 +16,7 @@ from sonoservo.systems.evaluation.source_checks import (
     check_matrices,
     check_motion,
     check_numbers,
+    check_pixels,
     check_seen,
     check_spacing,
     check_times,
@@ -248,3 +249,28 @@ def test_a_single_pass_tells_no_delay():
     found = sweep_delay(sweeps(0.0, count=1))
     assert isinstance(found, NotFound)
     assert check_delay(found)[0].grade is Grade.FINE
+
+
+def test_poses_in_metres_and_inverted_calibrations_are_told():
+    angles = np.linspace(0, 0.5, 20)
+    poses = np.array([RigidTransform(RollPitchYaw(0, a, 0), [50 * a, 0, 0]) for a in angles])
+    matrices = np.array([each.GetAsMatrix4() for each in poses])
+    assert worst(check_motion("ProbeToTracker", matrices, angles)) is None
+    far = RigidTransform([500, 300, -800]).GetAsMatrix4() @ matrices
+    assert worst(check_motion("ProbeToTracker", far, angles)) is None
+    found = check_motion("ProbeToTracker", np.linalg.inv(far), angles)
+    assert "is it the wrong way round?" in str(found[-1])
+    assert worst(check_motion("TrackerToProbe", np.linalg.inv(far), angles)) is None
+    matrices[:, :3, 3] *= 1e-3
+    assert "are positions in mm?" in str(check_motion("ProbeToTracker", matrices, angles)[-1])
+    assert check_pixels("the frames", [0.7, 0.2]) == []
+    assert "right way round" in check_pixels("the frames", [1.43, 1.43])[0].advice
+    image = np.diag([1.43, 1.43, 1.43, 1.0])
+    assert "right way round" in check_matrices("ImageToProbe", image)[0].advice
+
+
+def test_times_that_are_missing_are_no_gaps():
+    times = 0.1 * np.arange(30)
+    times[[7, 20]] = np.nan
+    assert not any("gaps" in each.text for each in check_times(times))
+    assert any("gaps: 1" in each.text for each in check_times(np.delete(times, [12, 13])))
