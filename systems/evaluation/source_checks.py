@@ -181,7 +181,7 @@ class _Fault(Enum):
               "turn the grey levels round, or compress the powers (10 log10)")  # fmt: skip
     SATURATED = (Check.CONTENT, Grade.DOUBTFUL,
                  "{share:.0f} % of what was seen is as bright as can be",
-                 "lower the scanner's gain, or widen --window; or are the grey levels inverted?")  # fmt: skip
+                 "lower the gain, widen --window, or invert the grey levels")  # fmt: skip
     UPSIDE_DOWN = (Check.GRID, Grade.DOUBTFUL,
                    "the field of view is widest near the probe and narrows with depth, as if the "
                    "sound ran the other way",
