@@ -13,14 +13,14 @@ from sonoservo.systems.tracking.line_contrast import BIN
 
 Floats = NDArray[np.float64]
 
-SPEEDS = (0.0, 3e-3, 8e-3, 16e-3, 30e-3)
+SPEEDS = (0.0, 1e-3, 3e-3, 8e-3, 16e-3, 30e-3)
 """Speeds at which a hand pushes a needle, in m/s; see `advances`."""
 
 GLINTS = (0.0, 1.0, 3.0)
 """Speeds at which the visible part of a smooth line slides along it, relative to the probe's: it
 runs ahead where the probe turns, and on a hollow surface."""
 
-_MOST = 12
+_MOST = 16
 """Number of bins that a tip may pass between two volumes."""
 
 _KEEPS = 0.8
@@ -65,7 +65,7 @@ def _passed(mean: float) -> Any:  # pragma: no cover - compiled
     return row / row.sum()
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=256)
 def _advances(milliseconds: int) -> Floats:
     return np.array([_passed(speed * 1e-3 * milliseconds / BIN) for speed in SPEEDS])
 
@@ -260,13 +260,13 @@ def class_logs(
 ) -> Floats:
     """Return (n, 5) log evidence of each line: needle from either end, resting, riding, appeared.
 
-    ``logs`` are as of `add_volume`, ``moves`` are `advances`, and ``passing`` (n, t) is the motion
-    of the image along the line in bins.
+    ``logs`` are as of `add_volume`, ``moves`` (t, m, d) are `advances` before each arrival, and
+    ``passing`` (n, t) is the motion of the image along the line in bins.
     """
     # The visible part of a smooth line at rest depends on the angle of the sound: its end rests, or
     # slides like one of the `GLINTS`. Both are as probable.
-    all_moves = np.broadcast_to(moves, (logs.shape[1], *moves.shape))
-    hand, probe = _hand(len(moves)), _hand(len(GLINTS))
+    all_moves = np.broadcast_to(moves, (logs.shape[1], *moves.shape[-2:]))
+    hand, probe = _hand(moves.shape[-2]), _hand(len(GLINTS))
 
     def of(part: slice) -> Any:
         return _class_logs(

@@ -49,9 +49,9 @@ _PACE = 0.5
 passes most of a bin in it. Over less, it looks like a line at rest whose echo changes a little.
 Lines that are judged by their looks need not wait."""
 
-_REMEMBERED = 14
-"""Number of volumes in which a new line is looked for, and of distinct times of arrival:
-anything that came before them counts as always there."""
+_REMEMBERED, _SPAN = 14, 30.0
+"""Number of volumes in which a new line is looked for, and of distinct times of arrival, and time
+in s within which they lie: anything that came before them counts as always there."""
 
 _SHOWS = 0.7
 """Probability that a bin of a line shows itself: speckle and shadows hide the others."""
@@ -161,8 +161,8 @@ class Lines:
     prior: Floats
     """(n, 5) log priors of the classes but "appeared", before anything in ``logs``."""
     past: Floats
-    """(n, `_REMEMBERED`, 5) log beliefs after each remembered volume, oldest first. A line that is
-    fitted anew is looked for in all of them again, so the oldest becomes its prior."""
+    """(n, `_REMEMBERED` + 1, 5) log beliefs before each remembered volume, oldest first, and now. A
+    line that is fitted anew is looked for in all of them again, so the oldest becomes its prior."""
 
     def __len__(self) -> int:
         return len(self.numbers)
@@ -194,7 +194,7 @@ def _new_lines(ends: Floats, ends_P: Floats, numbers: Floats, times: int) -> Lin
         np.zeros((n, times, BINS)), np.zeros((n, 1, BINS)),
         image_levels, levels, contrasts,
         np.zeros(n), np.zeros(n), np.zeros(n), numbers, np.zeros((n, 1 + len(LINE_CLASSES))),
-        np.zeros((n, 5)), np.zeros((n, _REMEMBERED, 5)),
+        np.zeros((n, 5)), np.zeros((n, _REMEMBERED + 1, 5)),
     )  # fmt: skip
 
 
@@ -264,12 +264,13 @@ def follow(belief: LineBelief, volume: Volume, *, look: bool = False) -> LineBel
     order = np.argsort(-lines.prominence, kind="stable")[:_LINES]
     lines = lines.take(order[lines.prominence[order] >= _LEAST_PROMINENCE])
     if len(lines):
-        seconds = (memory[-1].volume.time - memory[0].volume.time) / max(len(memory) - 1, 1)
+        times = np.array([each.volume.time for each in memory])
+        moves = np.array([advances(seconds) for seconds in np.diff(times, prepend=times[0])])
         logs = class_logs(
             lines.logs,
             lines.image_logs[:, 0],
             np.array(appearing),
-            advances(seconds),
+            moves,
             _passing(lines, memory, len(appearing)),
         )
         # Needle either way, resting, riding, appeared, nothing.
@@ -281,7 +282,7 @@ def follow(belief: LineBelief, volume: Volume, *, look: bool = False) -> LineBel
         # What appeared rests from then on. Whether it rides shows only while the probe moves.
         still = np.logaddexp.reduce(classes[:, 2:5], axis=1)[:, np.newaxis]
         now[:, 2:4] = still + np.log(_OTHERS[:2] / _OTHERS[:2].sum())
-        past = np.concatenate([lines.past[:, 1:], now[:, np.newaxis]], axis=1)
+        past = np.concatenate([lines.past[:, :-1], now[:, np.newaxis]], axis=1)
         lines = replace(lines, classes=classes, past=past)
         lines = _judged(lines, memory[-1], fits, look)
     return LineBelief(memory, lines, appearing, born, births, volume.time)
@@ -297,12 +298,59 @@ def _seen_again(
         change=change_between(shown.along, belief.lines.levels),
         image_change=change_between(shown.riding, belief.lines.image_levels),
     )
-    memory, appearing = (*belief.memory[1 - _REMEMBERED :], newest), belief.appearing
-    if len(memory) > 1:
-        # The oldest arrivals but "always" are forgotten.
-        appears = float(np.log(_APPEARS * newest.change.renewed))
-        appearing = (-50.0, *appearing[1:][2 - _REMEMBERED :], appears)
-    return _look_on(belief.lines, shown, newest, len(appearing)), memory, appearing
+    lines, memory, appearing = belief.lines, belief.memory, np.array(belief.appearing)
+    logs, past = lines.logs, lines.past
+    if len(memory) == _REMEMBERED:
+        number = _forgotten(np.array([each.volume.time for each in (*memory, newest)]))
+        memory = _without(memory, number)
+        logs, appearing = _merged(logs, number, axis=1), _merged(appearing, number, axis=0)
+        past = np.delete(past, number, axis=1)
+    else:
+        past = past[:, 1:]
+    if memory:
+        appears = np.log(_APPEARS * newest.change.renewed)
+        appearing = np.r_[appearing, appears]
+        logs = np.concatenate([logs, np.zeros((len(lines), 1, BINS))], axis=1)
+    past = np.concatenate([past, np.zeros((len(lines), 1, 5))], axis=1)
+    lines = replace(lines, logs=logs, past=past)
+    return _look_on(lines, shown, newest), (*memory, newest), tuple(appearing.tolist())
+
+
+def _forgotten(times: Floats) -> int:
+    """Return which of remembered volumes is forgotten, by their times in s and that of the newest.
+
+    It is the oldest, beyond the `_SPAN`, or the one whose neighbours are closest to each other for
+    their age: whether a needle is fast or slow, it passes as many bins between two volumes for each
+    that it has passed since.
+    """
+    if times[-1] - times[0] > _SPAN:
+        return 0
+    return 1 + int(np.argmin((times[2:] - times[:-2]) / (times[-1] - times[1:-1])))
+
+
+def _without(memory: tuple[Remembered, ...], number: int) -> tuple[Remembered, ...]:
+    """Return remembered volumes but one, with all changes from one to the next."""
+    if number + 1 == len(memory):
+        return memory[:-1]
+    gone, after = memory[number], memory[number + 1]
+    after = replace(
+        after,
+        change=after.change.since(gone.change),
+        image_change=after.image_change.since(gone.image_change),
+    )
+    return (*memory[:number], after, *memory[number + 2 :])
+
+
+def _merged(logs: Floats, number: int, axis: int) -> Floats:
+    """Return logarithms by time of arrival where what arrived with a volume, or the next, is one.
+
+    What arrived with the second volume was always there once the first is forgotten.
+    """
+    logs = np.moveaxis(logs, axis, 0)
+    merged = np.delete(logs, max(number, 1), axis=0)
+    if 0 < number < len(merged):
+        merged[number] = np.logaddexp(logs[number], logs[number + 1]) - np.log(2)
+    return np.moveaxis(merged, 0, axis)
 
 
 def _passing(lines: Lines, memory: Sequence[Remembered], times: int) -> Floats:
@@ -381,23 +429,19 @@ def _add(lines: Lines, shown: _Shown, each: Remembered, begun: int) -> None:
     lines.contrasts[:] = shown.along.contrasts
 
 
-def _look_on(lines: Lines, shown: _Shown, newest: Remembered, times: int) -> Lines:
-    """Return lines after another volume, with one more time of arrival."""
-    n, before = len(lines), lines.logs.shape[1]
-    kept = np.r_[0, before - times + 2 : before] if before >= times else np.arange(before)
+def _look_on(lines: Lines, shown: _Shown, newest: Remembered) -> Lines:
+    """Return lines after another volume, the last time of arrival."""
     lines = replace(
         lines,
-        logs=np.concatenate([lines.logs[:, kept], np.zeros((n, 1, BINS))], axis=1)
-        if times > 1
-        else lines.logs.copy(),
+        logs=lines.logs.copy(),
         image_logs=lines.image_logs.copy(),
         image_levels=lines.image_levels.copy(),
         levels=lines.levels.copy(),
         contrasts=lines.contrasts.copy(),
     )
-    if n == 0:
+    if len(lines) == 0:
         return lines
-    _add(lines, shown, newest, times)
+    _add(lines, shown, newest, lines.logs.shape[1])
     evidence = stretches(lines.contrasts)[2]
     return replace(lines, prominence=_KEPT * lines.prominence + (1 - _KEPT) * evidence)
 

@@ -279,6 +279,10 @@ class Change(NamedTuple):
     """Standard deviation in dB of levels that repeat themselves, by noise and misplaced sampling.
     """
 
+    def since(self, before: "Change") -> "Change":
+        """Return the change over two steps, of which this is the second."""
+        return self._replace(renewed=1 - (1 - self.renewed) * (1 - before.renewed))
+
 
 ALL_NEW = Change(1.0, 1.0)
 """Change since a volume that did not show the line."""

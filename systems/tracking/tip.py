@@ -223,18 +223,14 @@ def find_extent(profile: AxisProfile, parameters: TipParameters) -> NeedleExtent
     cases = [(nothing, nothing, 1.0)]
     if profile.before is not None and profile.looks is not None:
         cases = [(nothing, nothing, _MOVES), (profile.before, profile.looks, 1 - _MOVES)]
-    logs, beyond = [], []
-    for before, looks, prior in cases:
+    logs, beyond = np.zeros((len(cases), len(contrast))), np.zeros(len(cases))
+    for number, (before, looks, prior) in enumerate(cases):
         tissue = _tissue(before, looks)
         ends, past, tops = _end_logs(contrast, profile.seen, tissue, share, sigma, step, first)
-        logs.append(ends + math.log(prior))
-        beyond.append(past + math.log(prior))
-    weights, rest, total = _end_weights(
-        profile.a, first, np.logaddexp.reduce(logs), float(np.logaddexp.reduce(beyond))
-    )
-    _, _, as_before = _end_weights(profile.a, first, logs[-1], beyond[-1])
-    passed = np.interp(profile.a - 3 * sigma, profile.a, np.cumsum(weights))
-    places = _places(profile.a, weights.copy(), rest)
+        logs[number], beyond[number] = ends + math.log(prior), past + math.log(prior)
+    weights, rests = _end_weights(profile.a, first, logs, beyond)
+    passed = np.interp(profile.a - 3 * sigma, profile.a, np.cumsum(weights.sum(axis=0)))
+    places = _places(profile.a, weights.sum(axis=0), rests.sum())
     seen, tip, std = places[0]
     at, beyond_at = np.searchsorted(profile.a[:-1], [tip, tip + REACH / 2])
     turned = 0.0
@@ -260,7 +256,7 @@ def find_extent(profile: AxisProfile, parameters: TipParameters) -> NeedleExtent
         evidence=evidence,
         contrast=contrast,
         ahead=profile.seen & (passed > _SURE),
-        as_before=min(math.exp(as_before - total), 1.0),
+        as_before=min(float(weights[-1].sum() + rests[-1]), 1.0),
     )
 
 
@@ -273,8 +269,14 @@ def _tissue(before: NDArray[np.float64], looks: NDArray[np.float64]) -> NDArray[
     lasting, changing = _LASTS * _NOTHING**2 + before**2, (1 - _LASTS) * _NOTHING**2
     gain = looks * lasting / (looks * lasting + changing)
     mean = gain * before
-    std = np.sqrt(changing + (1 - gain) * lasting) + _SPREAD * np.clip(mean, 0.0, 16.0)
+    std = np.sqrt(changing + (1 - gain) * lasting) + _flicker(mean)
     return np.stack([mean, std, 1 - gain], axis=1)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _flicker(level: Any) -> Any:
+    """Return by how much more the contrast of what has a level in dB deviates, in dB."""
+    return _SPREAD * np.minimum(np.maximum(level, 0.0), 16.0)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -308,7 +310,7 @@ def _needle_logs(  # pragma: no cover - compiled
             level = max(total / count, 0.0) if count > 0 else 0.0
             # What speckle alone would add to the mean is taken off, as in Wiener's filter.
             level = level**3 / (level**2 + 1.5)
-            std = _NOTHING + _SPREAD * min(level, 16.0)
+            std = _NOTHING + _flicker(level)
             before = share[b] * _log_density(contrast[b], level, std)
             bright = share[b] * _log_density(contrast[b], _BRIGHT, _BRIGHT)
             hidden = share[b] * _log_density(contrast[b], tissue[b, 0], tissue[b, 1])
@@ -389,18 +391,18 @@ def _end_logs(  # pragma: no cover - compiled
 
 
 def _end_weights(
-    a: NDArray[np.float64], first: int, logs: NDArray[np.float64], beyond: float
-) -> tuple[NDArray[np.float64], float, float]:
-    """Return the (m,) probabilities that the tip is at each sample, and that it lies beyond all.
+    a: NDArray[np.float64], first: int, logs: NDArray[np.float64], beyond: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the (c, m) probabilities that the tip is at each sample, and (c,) that it is beyond.
 
-    The last value is the logarithm of the evidence for all of them.
+    ``logs`` are the log likelihoods of the same, of c cases that exclude each other.
     """
-    top = max(float(logs.max()), beyond)
+    top = max(float(logs.max()), float(beyond.max()))
     farther = (a - a[first]) / REACH
     weights = np.exp(logs - top - farther) * (float(a[1] - a[0]) / REACH)
-    rest = math.exp(beyond - top - farther[-1])
-    total = weights.sum() + rest
-    return weights / total, rest / total, top + math.log(total)
+    rests = np.exp(beyond - top - farther[-1])
+    total = weights.sum() + rests.sum()
+    return weights / total, rests / total
 
 
 def _places(
@@ -437,5 +439,4 @@ def _unseen(top: float, turned: float, neutral: float) -> float:
     Its contrast is ``top`` dB before the end, changed by ``turned`` dB as the sound meets it at
     another angle there.
     """
-    level = max(top, 0.0)
-    return float(ndtr((neutral - level - turned) / (_NOTHING + _SPREAD * min(level, 16.0))))
+    return float(ndtr((neutral - max(top, 0.0) - turned) / (_NOTHING + _flicker(top))))
