@@ -275,9 +275,9 @@ class Change(NamedTuple):
 
     renewed: float
     """Share of the bins that are drawn anew: other speckle, a shadow, a surface that shines."""
-    deviation: float
-    """Standard deviation in dB of levels that repeat themselves, by noise and misplaced sampling.
-    """
+    scale: float
+    """Scale in dB of the differences of levels that repeat themselves, by noise and misplaced
+    sampling."""
 
     def since(self, before: "Change") -> "Change":
         """Return the change over two steps, of which this is the second."""
@@ -307,11 +307,11 @@ def repeat_ratio(now: LineLevels, before: NDArray[Any], change: Change) -> Float
     ``before`` are (n, BINS) levels in dB, NaN where they were not seen; so is the result.
     """
     steps = np.asarray(now.levels - before, np.float64)
-    return _repeats(steps**2 / change.deviation**2) / change.deviation / _nothing(now.contrasts)
+    return _repeats(steps**2 / change.scale**2) / change.scale / _nothing(now.contrasts)
 
 
 def _repeats(squares: Floats) -> Floats:
-    """Return the densities of squared differences, in deviations, of levels that repeat."""
+    """Return the densities of squared differences, in units of their scale, of levels that repeat."""
     return np.asarray(_PEAK * (1 + squares / _TAIL) ** (-0.5 * (_TAIL + 1)))
 
 

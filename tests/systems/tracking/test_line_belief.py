@@ -28,8 +28,11 @@ def pushed(time):
 
 
 @lru_cache
-def volumes(needle, moving):
-    """Speckle and a wire that rest in W, and a needle; the probe rests, or moves against X."""
+def volumes(needle, moving, slower=1):
+    """Speckle and a wire that rest in W, and a needle; the probe rests, or moves against X.
+
+    The needle may be pushed slower by a factor, in as many more volumes.
+    """
     rng = np.random.default_rng(5)
     sigma = np.array([1.9e-3, 0.45e-3, 2.3e-3]) / 2.355 / SPACING
     shape = (SHAPE[0] + COUNT, *SHAPE[1:])
@@ -38,10 +41,10 @@ def volumes(needle, moving):
     tissue = (parts[0] + 1j * parts[1]) / np.hypot(parts[0].std(), parts[1].std())
     tissue = tissue + line(p_W, *WIRE, lambda s: 8.0)
     images = []
-    for n in range(COUNT):
+    for n in range(COUNT * slower):
         amplitude = tissue + 0.02 * rng.normal(size=shape)
         if needle:
-            amplitude = amplitude + line(p_W, *pushed(PERIOD * n), lambda s: 8.0)
+            amplitude = amplitude + line(p_W, *pushed(PERIOD * n / slower), lambda s: 8.0)
         grey = np.clip((20 * np.log10(np.abs(amplitude) + 1e-6) + 14) * 255 / 60, 1, 255)
         first = (COUNT - 1 - n) * moving
         images.append(
@@ -85,6 +88,15 @@ def test_a_needle_that_is_pushed_in_is_found_and_a_wire_at_rest_is_not(pushed_in
     assert wire.any()
     assert lines.probabilities[wire].max() < 0.5
     np.testing.assert_allclose(lines.classes.sum(axis=1), 1)
+
+
+def test_a_needle_that_is_pushed_slowly_is_found():
+    """It passes a bin in more than a second, so the last few volumes show it rest."""
+    slower = 5
+    lines = followed(volumes(True, False, slower)).hypotheses
+    best = int(lines.probabilities.argmax())
+    assert lines.probabilities[best] > 0.95
+    assert along(lines, *pushed(lines.time / slower))[best]
 
 
 def test_where_no_needle_comes_none_is_found():

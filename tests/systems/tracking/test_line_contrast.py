@@ -72,8 +72,8 @@ def test_what_is_not_seen_is_weak_evidence_against_a_line():
     assert sums[0] == pytest.approx(10 * log_ratio(np.array([6.0]))[0] - 1.0)
 
 
-@pytest.mark.parametrize(("renewed", "deviation"), [(0.01, 1.0), (0.4, 1.5)])
-def test_how_contrasts_change_is_measured_from_them(renewed, deviation):
+@pytest.mark.parametrize(("renewed", "scale"), [(0.01, 1.0), (0.4, 1.5)])
+def test_how_contrasts_change_is_measured_from_them(renewed, scale):
     rng = np.random.default_rng(4)
 
     def drawn(count):
@@ -83,14 +83,14 @@ def test_how_contrasts_change_is_measured_from_them(renewed, deviation):
         )
 
     before = drawn(4000)
-    now = before + rng.normal(0.0, deviation, 4000)
+    now = before + scale * rng.standard_t(5, 4000)
     now = np.where(rng.random(4000) < renewed, drawn(4000), now)
     before[:100] = now[50:150] = np.nan
     found = change_between(LineLevels(now, now), before)
     assert found.renewed == pytest.approx(renewed, abs=0.01 + 0.15 * renewed)
-    assert found.deviation == pytest.approx(deviation, rel=0.08)
+    assert found.scale == pytest.approx(scale, rel=0.08)
     assert change_between(LineLevels(now, now), np.full(4000, np.nan)) == ALL_NEW
-    assert change_between(LineLevels(now, now), now).deviation < 0.1
+    assert change_between(LineLevels(now, now), now).scale < 0.1
 
 
 def test_a_displaced_and_turned_line_is_fitted():
