@@ -49,9 +49,10 @@ _PACE = 0.5
 passes most of a bin in it. Over less, it looks like a line at rest whose echo changes a little.
 Lines that are judged by their looks need not wait."""
 
-_REMEMBERED, _SPAN = 14, 30.0
-"""Number of volumes in which a new line is looked for, and of distinct times of arrival, and time
-in s within which they lie: anything that came before them counts as always there."""
+_REMEMBERED, _UNCHANGED = 14, 0.5
+"""Number of volumes in which a new line is looked for, and of distinct times of arrival: anything
+that came before them counts as always there. The oldest tells little about what is new once less
+than a share of what it shows is still there."""
 
 _SHOWS = 0.7
 """Probability that a bin of a line shows itself: speckle and shadows hide the others."""
@@ -298,41 +299,40 @@ def _seen_again(
         change=change_between(shown.along, belief.lines.levels),
         image_change=change_between(shown.riding, belief.lines.image_levels),
     )
-    lines, memory, appearing = belief.lines, belief.memory, np.array(belief.appearing)
-    logs, past = lines.logs, lines.past
-    if len(memory) == _REMEMBERED:
-        number = _forgotten(np.array([each.volume.time for each in (*memory, newest)]))
-        memory = _without(memory, number)
-        logs, appearing = _merged(logs, number, axis=1), _merged(appearing, number, axis=0)
-        past = np.delete(past, number, axis=1)
-    else:
-        past = past[:, 1:]
-    if memory:
-        appears = np.log(_APPEARS * newest.change.renewed)
-        appearing = np.r_[appearing, appears]
+    lines, memory, appearing = belief.lines, (*belief.memory, newest), np.array(belief.appearing)
+    logs = lines.logs
+    if len(memory) > 1:
+        appearing = np.append(appearing, np.log(_APPEARS * newest.change.renewed))
         logs = np.concatenate([logs, np.zeros((len(lines), 1, BINS))], axis=1)
+    number = 0
+    if len(memory) > _REMEMBERED:
+        number = _forgotten(memory)
+        memory = _without(memory, number)
+        # A bin came with either as probably, and a line that appears with the one or the other.
+        logs = _merged(logs, number, axis=1, share=0.5)
+        appearing = _merged(appearing, number, axis=0, share=1.0)
+    past = np.delete(lines.past, number, axis=1)
     past = np.concatenate([past, np.zeros((len(lines), 1, 5))], axis=1)
     lines = replace(lines, logs=logs, past=past)
-    return _look_on(lines, shown, newest), (*memory, newest), tuple(appearing.tolist())
+    return _look_on(lines, shown, newest), memory, tuple(appearing.tolist())
 
 
-def _forgotten(times: Floats) -> int:
-    """Return which of remembered volumes is forgotten, by their times in s and that of the newest.
+def _forgotten(memory: Sequence[Remembered]) -> int:
+    """Return which of remembered volumes is forgotten, of which the last one is new.
 
-    It is the oldest, beyond the `_SPAN`, or the one whose neighbours are closest to each other for
-    their age: whether a needle is fast or slow, it passes as many bins between two volumes for each
-    that it has passed since.
+    It is the oldest if too little is `_UNCHANGED` since, or the one whose neighbours are closest to
+    each other for their age: whether a needle is fast or slow, it passes as many bins between two
+    volumes for each that it has passed since.
     """
-    if times[-1] - times[0] > _SPAN:
+    if np.prod([1 - each.change.renewed for each in memory[1:]]) < _UNCHANGED:
         return 0
+    times = np.array([each.volume.time for each in memory])
     return 1 + int(np.argmin((times[2:] - times[:-2]) / (times[-1] - times[1:-1])))
 
 
 def _without(memory: tuple[Remembered, ...], number: int) -> tuple[Remembered, ...]:
     """Return remembered volumes but one, with all changes from one to the next."""
-    if number + 1 == len(memory):
-        return memory[:-1]
-    gone, after = memory[number], memory[number + 1]
+    gone, after = memory[number : number + 2]
     after = replace(
         after,
         change=after.change.since(gone.change),
@@ -341,15 +341,15 @@ def _without(memory: tuple[Remembered, ...], number: int) -> tuple[Remembered, .
     return (*memory[:number], after, *memory[number + 2 :])
 
 
-def _merged(logs: Floats, number: int, axis: int) -> Floats:
-    """Return logarithms by time of arrival where what arrived with a volume, or the next, is one.
+def _merged(logs: Floats, number: int, axis: int, share: float) -> Floats:
+    """Return logarithms by time of arrival of which one and the next, times a share, become one.
 
     What arrived with the second volume was always there once the first is forgotten.
     """
     logs = np.moveaxis(logs, axis, 0)
     merged = np.delete(logs, max(number, 1), axis=0)
-    if 0 < number < len(merged):
-        merged[number] = np.logaddexp(logs[number], logs[number + 1]) - np.log(2)
+    if number > 0:
+        merged[number] = np.logaddexp(logs[number], logs[number + 1]) + np.log(share)
     return np.moveaxis(merged, 0, axis)
 
 

@@ -311,7 +311,7 @@ def repeat_ratio(now: LineLevels, before: NDArray[Any], change: Change) -> Float
 
 
 def _repeats(squares: Floats) -> Floats:
-    """Return the densities of squared differences, in units of their scale, of levels that repeat."""
+    """Return the densities of levels that repeat, by their squared differences over the scale's."""
     return np.asarray(_PEAK * (1 + squares / _TAIL) ** (-0.5 * (_TAIL + 1)))
 
 

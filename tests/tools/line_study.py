@@ -142,7 +142,7 @@ def study(recording):
     seen.
     """
     belief, shares, false, stated = LineBelief(), [], set(), []
-    begun, found_s, born, appeared, renewed = np.inf, np.nan, {}, [], []
+    begun, found_s, born, appeared, renewed, times = np.inf, np.nan, {}, [], [], []
     for volume, needle, length in recording:
         fits = []
 
@@ -155,10 +155,12 @@ def study(recording):
         lines = belief.hypotheses
         if length == 0:
             renewed.append(belief.memory[-1].change.renewed)
+            times.append(volume.time)
             for number, classes in zip(lines.numbers, lines.classes, strict=True):
                 if len(renewed) - born.setdefault(number, len(renewed)) == AGE:
                     share = classes[LINE_CLASSES.index("appeared")]
-                    appeared.append(share / (len(belief.memory) - 1))
+                    first = belief.memory[0].volume.time
+                    appeared.append(share / np.sum(np.array(times) > first))
         ends = acquired_from(volume, lines.ends.reshape(-1, 3)).reshape(-1, 2, 3)
         right, sure = is_needle(ends, needle), lines.probabilities > ACT
         false.update(lines.numbers[sure & ~right])
