@@ -86,6 +86,16 @@ def test_formulas_are_of_the_kind_that_needs_no_script_to_be_drawn():
         assert tex2mathml(each.strip()).startswith("<math"), each
 
 
+def test_fields_that_are_set_are_fields():
+    known = {
+        row[0] for name in EXPERIMENTS for row in field_rows(experiment_class(name).scenario_class)
+    }
+    texts = [path.read_text(encoding="utf-8") for path in PAGES]
+    named = {path for text in texts for path in re.findall(r"--set \"?([\w.]+)=", text)}
+    assert len(named) > 10
+    assert not named - known
+
+
 @pytest.mark.parametrize("words", list(commands()))
 def test_commands_are_understood(words):
     command = typer.main.get_command(app).commands[words[0]]
