@@ -99,6 +99,17 @@ def test_a_needle_that_is_pushed_slowly_is_found():
     assert along(lines, *pushed(lines.time / slower))[best]
 
 
+def test_older_volumes_are_remembered_more_sparsely_while_the_tissue_is_the_same():
+    images = [replace(each, time=0.6 * n) for n, each in enumerate(2 * volumes(False, False))]
+    gaps = np.diff([each.volume.time for each in followed(images).memory])
+    assert gaps.sum() > 0.9 * images[-1].time
+    assert gaps[0] > 3 * gaps[-1]
+    others = [replace(each, intensities=each.intensities[:: (-1) ** n])
+              for n, each in enumerate(images[:COUNT])]  # fmt: skip
+    gaps = np.diff([each.volume.time for each in followed(others).memory])
+    np.testing.assert_allclose(gaps, 0.6)
+
+
 def test_where_no_needle_comes_none_is_found():
     lines = followed(volumes(False, True)).hypotheses
     assert lines.probabilities.max() < 0.5
