@@ -121,8 +121,11 @@ function showReadings() {
   });
   const lines = Object.entries(state.lines ?? {});
   text("lines", lines.length
-    ? `lines followed: ${lines.map(([name, count]) => `${count} ${name}`).join(", ")}` : "");
+    ? `lines followed: ${lines.map(([name, count]) => `${count} ${KINDS[name]}`).join(", ")}` : "");
 }
+
+const KINDS = {needle: "may be needles", resting: "at rest", riding: "with the probe",
+               appeared: "new", nothing: "speckle"};
 
 function describe() {
   described = JSON.parse(link.described.tags[0]);

@@ -242,6 +242,7 @@ def _plot(x: Any, y: Any, x_label: str | None, y_label: str | None, **more: Any)
     plot = figure(x_range=x, y_range=y, tools="", toolbar_location=None, min_border=0,
                   sizing_mode="stretch_both", **more)  # fmt: skip
     plot.min_border_left, plot.min_border_right = 62, 8
+    plot.min_border_top = plot.min_border_bottom = 6  # half of a tick label
     plot.background_fill_color, plot.border_fill_color = _PLOT, _GROUND
     plot.outline_line_color = _GRID
     plot.grid.grid_line_color = _GRID

@@ -35,7 +35,11 @@ _SHOWN = 0.5  # time in s above which the verdict says that something else was f
 def following_verdict(summary: Mapping[str, Any], *, follows: bool = True) -> Verdict:
     """Return the verdict on a run of following, from its summary."""
     outcome = run_outcome(summary)
-    text = " ".join(filter(None, (_missing(summary), _found(summary), _rest(summary, follows))))
+    if look_up(summary, "success.found"):
+        why = _found(summary) or "Whenever it was found, the estimate lay far from it at first."
+    else:
+        why = _missing(summary)
+    text = " ".join(filter(None, (why, _rest(summary, follows))))
     if summary.get("interrupted"):
         text = f"The run was interrupted after {summary['simulated_s']:.1f} s. {text}"
     wrong = look_up(summary, "tracking.wrong_s") or 0.0

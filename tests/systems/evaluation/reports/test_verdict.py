@@ -50,6 +50,16 @@ def test_what_went_wrong_comes_first(summary, block, figures, grade, words):
     assert words in str(verdict)
 
 
+def test_a_needle_that_was_found_is_not_said_to_be_missing(summary):
+    why = "No line is a needle with certainty yet."
+    summary["detection"] |= {"volume": None, "reason": why}
+    assert str(following_verdict(summary)).startswith(
+        "The needle was found and followed. Whenever it was found, the estimate lay far from it"
+    )
+    summary["success"]["found"] = False
+    assert str(following_verdict(summary)).startswith(f"No needle was found. {why}")
+
+
 def test_recordings_without_truth_have_a_verdict_too():
     told = {"reasons": {"it rains": 5}, "advice": "wait"}
     none = recording_verdict({"frame": "LPS", "volumes": 5, "modes": {"searching": 5}, **told}, [])
