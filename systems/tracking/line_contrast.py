@@ -42,8 +42,8 @@ _SUREST = 3.3
 
 _TAIL = 5.0
 """Degrees of freedom of Student's distribution of the differences between levels that repeat
-themselves: places are sampled more exactly in one volume than in another. Fitted with `_ROUNDS` of
-`change_between` to volumes before a needle comes, with the probe still, moving, and in breath."""
+themselves: places are sampled more exactly in one volume than in another. Chosen by
+``python -m line_study --tails`` (tests/tools), with the probe still, moving, and in breath."""
 
 _PEAK = math.gamma(0.5 * (_TAIL + 1)) / math.gamma(0.5 * _TAIL) * math.sqrt(2 / _TAIL)
 """Its density at 0, relative to that of a Gaussian."""

@@ -2,13 +2,15 @@
 
 ``PYTHONPATH=tests/helpers:tests/tools python -m line_study clinic faint --seeds 100 104``
 acquires sequences, keeps them, and prints a row for each. It is for tuning: seeds from 100 on.
-``_APPEARS`` of the belief is the mean of its last column.
+``_APPEARS`` of the belief is the mean of its last column. ``--tails`` prints what ``_TAIL`` of the
+contrasts was chosen by: how probable the changes of levels are before a needle comes.
 """
 
 import argparse
 import pickle
 from dataclasses import dataclass
 from itertools import pairwise
+from math import gamma
 from pathlib import Path
 from unittest import mock
 
@@ -24,7 +26,7 @@ from sonoservo.systems.evaluation.success import conspicuous_length
 from sonoservo.systems.recording import VolumeCollector
 from sonoservo.systems.signals.line_hypotheses import LINE_CLASSES
 from sonoservo.systems.signals.volume import acquired_from
-from sonoservo.systems.tracking import line_belief
+from sonoservo.systems.tracking import line_belief, line_contrast
 from sonoservo.systems.tracking.line_belief import LineBelief, follow
 from sonoservo.systems.tracking.line_fit import fitted_lines
 
@@ -54,10 +56,19 @@ class SearchingPlan(MotionPlan):
         return self._placed((start.x + 0.025 * x, start.y + 0.012 * y, start.yaw_deg + 20 * turn))
 
 
+class StillPlan(MotionPlan):
+    """The probe is held still."""
+
+    def _over(self, time):
+        return self._placed(None)
+
+
 WITHDRAWN = (
     "hand.pushes=[{duration: 5.0, speed: 0.01}, {duration: 1.0, speed: 0.0}, "
     "{duration: 4.0, speed: -0.0125}, {duration: 5.0, speed: 0.01}]"
 )
+
+STEPS = ", ".join(7 * ["{duration: 1.0, speed: 0.006}, {duration: 4.0, speed: 0.0}"])
 
 KINDS = {
     "clinic": ("clinic", MotionPlan, (), None),
@@ -68,6 +79,8 @@ KINDS = {
     "wire": ("guide wire", MotionPlan, (), None),
     "withdrawn": ("clean", MotionPlan, (WITHDRAWN,), 17.0),
     "clean": ("clean", MotionPlan, (), None),
+    "slow": ("clean", StillPlan, ("hand.pushes=[{duration: 60.0, speed: 0.001}]",), 34.0),
+    "steps": ("clean", StillPlan, (f"hand.pushes=[{STEPS}]",), 34.0),
 }
 """Suite, plan of the probe, changes and duration in s of each kind of sequence."""
 
@@ -181,19 +194,60 @@ def study(recording):
     return row, stated
 
 
+def tails(recording, freedoms=(2, 3, 4, 5, 8, 30)):
+    """Return (f, 3) mean log probabilities, shares drawn anew and scales, by degrees of freedom.
+
+    They are of how levels change along lines in the tissue before the needle is in the volumes.
+    """
+    before = [volume for volume, needle, length in recording if needle is None or length == 0]
+    shown, original = [], line_belief.change_between
+
+    def change_between(now, last):
+        shown.append((now, last))
+        return original(now, last)
+
+    with mock.patch.object(line_belief, "change_between", change_between):
+        belief = LineBelief()
+        for volume in before:
+            belief = follow(belief, volume)
+    rows = []
+    for tail in map(float, freedoms):
+        peak = gamma(0.5 * (tail + 1)) / gamma(0.5 * tail) * np.sqrt(2 / tail)
+        with mock.patch.multiple(line_contrast, _TAIL=tail, _PEAK=peak):
+            logs, changes = [], []
+            for now, last in shown[::2]:
+                change = original(now, last)
+                both = np.isfinite(now.levels - last)
+                nothing = line_contrast._nothing(now.contrasts[both])
+                anew = 0.5 * (1 + np.exp(line_contrast.log_ratio(now.contrasts[both])))
+                same = line_contrast.repeat_ratio(now, last, change)[both]
+                share = change.renewed
+                logs.append(np.log(nothing * (share * anew + (1 - share) * same)))
+                changes.append(change)
+            rows.append([np.concatenate(logs).mean(), *np.median(changes, axis=0)])
+    return np.array(rows)
+
+
 def main(arguments=None):
     """Study the sequences asked for, and print a table."""
     parser = argparse.ArgumentParser(prog="line_study", description=__doc__)
     parser.add_argument("kinds", nargs="+", choices=list(KINDS))
     parser.add_argument("--seeds", nargs=2, type=int, default=(100, 102))
+    parser.add_argument("--tails", action="store_true", help="study changes before a needle comes")
     parser.add_argument("--folder", default="out/line_study", help="where recordings are kept")
     chosen = parser.parse_args(arguments)
     stated = []
     for kind in chosen.kinds:
         for seed in range(*chosen.seeds):
-            row, each = study(recorded(kind, seed, chosen.folder))
+            recording = recorded(kind, seed, chosen.folder)
+            if chosen.tails:
+                print(kind, seed, *map(str, tails(recording).round(3).tolist()), sep="  ")
+                continue
+            row, each = study(recording)
             stated += each
             print(kind, seed, *(f"{name} {value:.2f}" for name, value in row.items()), sep="  ")
+    if not stated:
+        return
     p, right = np.array(stated).T
     for low, high in pairwise(BINS):
         here = (p >= low) & ((p < high) | (high == 1.0))
