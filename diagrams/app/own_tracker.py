@@ -10,6 +10,7 @@ from pydrake.systems.framework import Context, EventStatus, LeafSystem, State, S
 
 from sonoservo.diagrams.benchmark.entrants import Step, checked, resolve_entrant, start_tracker
 from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
+from sonoservo.systems.files.volume_file import MAX_STEP
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
 from sonoservo.systems.signals.volume import Volume
 
@@ -98,6 +99,15 @@ class _FunctionTracker(LeafSystem):
             raise ConfigurationError(
                 f"{self._name}: an estimate with a curve needs its velocity and covariance as well"
             )
+        if estimate.time > volume.time + MAX_STEP:
+            raise ConfigurationError(
+                f"{self._name}: its estimate is {estimate.time - volume.time:.3g} s ahead of its "
+                "volume"
+            )
+        if estimate.covariance is not None:
+            variances = np.linalg.eigvalsh(estimate.covariance)
+            if variances[0] < -1e-6 * abs(variances[-1]):
+                raise ConfigurationError(f"{self._name}: its covariance has negative variances")
         if estimate.curve is not None:
             away = float(np.linalg.norm(estimate.curve.tip - volume.X_WP.translation()))
             if away > _FARTHEST:

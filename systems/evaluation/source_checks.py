@@ -160,7 +160,7 @@ class _Fault(Enum):
              "{name} jumps faster than 1 m/s: {jumps} x, by up to {most:.3g} mm",
              _TRACKER)  # fmt: skip
     COARSE_PIXELS = (Check.MATRIX, Grade.DOUBTFUL,
-                     "{name}: pixels of {x:.3g} x {y:.3g} mm, far larger than those of scanners",
+                     "{said}, far larger than those of scanners",
                      "is the calibration the right way round, from pixels to mm?")  # fmt: skip
     UNIT_SPACING = (Check.SPACING, Grade.DOUBTFUL,
                     "{shown} mm, which programs write that do not know it",
@@ -199,6 +199,13 @@ class _Fault(Enum):
              "{count} of {read} volumes that were read show less of the box than the others, such "
              "as volume {number}: {share:.0f} % instead of {usual:.0f} %",
              "look for NaN, for lost slices, and for markers of what was not seen")  # fmt: skip
+    FROZEN = (Check.CONTENT, Grade.DOUBTFUL,
+              "{count} of {read} {what} that were read repeat the one before exactly, such as "
+              "number {number}",
+              "was the scanner frozen, or does its program write faster than it?")  # fmt: skip
+    NOTHING = (Check.CONTENT, Grade.DOUBTFUL,
+               "{count} of {read} {what} that were read show nothing, such as number {number}",
+               "look for NaN, at the gain, and whether the probe had contact")  # fmt: skip
     HOLLOW = (Check.CONTENT, Grade.DOUBTFUL, "{text}",
               "if it is a reconstruction, sweep more slowly or make its voxels larger; else look "
               "at gain, threshold and window")  # fmt: skip
@@ -278,11 +285,7 @@ def check_matrices(name: str, matrices: ArrayLike) -> list[Finding]:
     if skew > _NOT_RIGID:
         return [_Fault.SKEW(name=name, skew=np.degrees(skew))]
     if name.startswith("Image"):
-        said = f"{name}: pixels of {scale[0]:.4g} x {scale[1]:.4g} mm"
-        calibrated = not np.allclose(scale[:2], 1, atol=1e-6)
-        if not calibrated:
-            return [_Fault.UNIT_PIXELS(said=said)]
-        return check_pixels(name, scale[:2]) or [_fine(Check.MATRIX, said)]
+        return [check_pixels(name, scale[:2])]
     if np.abs(scale - 1).max() > _NOT_RIGID:
         return [_Fault.SCALES(name=name, sizes=" x ".join(f"{each:.4g}" for each in scale))]
     if (np.linalg.det(unit) < 0).any():
@@ -290,10 +293,15 @@ def check_matrices(name: str, matrices: ArrayLike) -> list[Finding]:
     return [_fine(Check.MATRIX, f"{name}: a rigid motion")]
 
 
-def check_pixels(name: str, sizes: ArrayLike) -> list[Finding]:
+def check_pixels(name: str, sizes: ArrayLike) -> Finding:
     """Check the (2,) sizes of an image's pixels in mm."""
     x, y = np.asarray(sizes, float).tolist()
-    return [_Fault.COARSE_PIXELS(name=name, x=x, y=y)] if max(x, y) > _COARSEST_MM else []
+    said = f"{name}: pixels of {x:.4g} x {y:.4g} mm"
+    if np.allclose([x, y], 1, atol=1e-6):
+        return _Fault.UNIT_PIXELS(said=said)
+    return (
+        _Fault.COARSE_PIXELS(said=said) if max(x, y) > _COARSEST_MM else _fine(Check.MATRIX, said)
+    )
 
 
 def check_motion(name: str, matrices: ArrayLike, times: ArrayLike) -> list[Finding]:
@@ -475,6 +483,23 @@ def check_errors(errors: PoseErrors | NotFound) -> list[Finding]:
 def check_numbers(voxels: NDArray[Any]) -> list[Finding]:
     """Check the kind of a volume's numbers as the file holds them."""
     return [_Fault.SIGNED()] if voxels.dtype == np.int8 else []
+
+
+def check_contents(volumes: Iterable[NDArray[Any]], what: str = "volumes") -> list[Finding]:
+    """Check that volumes or frames, as the file holds them, show something, and not one thing."""
+    last, read = None, 0
+    repeats, nothing = list[int](), list[int]()
+    for read, voxels in enumerate(volumes, 1):
+        if voxels.min() == voxels.max() or not np.isfinite(voxels).any():
+            nothing.append(read - 1)
+        elif last is not None and np.array_equal(voxels, last, equal_nan=True):
+            repeats.append(read - 1)
+        last = voxels
+    return [
+        fault(count=len(numbers), read=read, what=what, number=numbers[0])
+        for fault, numbers in ((_Fault.NOTHING, nothing), (_Fault.FROZEN, repeats))
+        if numbers
+    ]
 
 
 def check_across(sweeps: Sequence[Sequence[PosedFrame]]) -> list[Finding]:

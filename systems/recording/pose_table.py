@@ -2,6 +2,7 @@
 
 import csv
 import re
+from codecs import BOM_UTF16_BE, BOM_UTF16_LE
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from sonoservo.systems.recording.valid_frames import matrix_text
 _MOST_BYTES = 1 << 26
 _ELEMENT = re.compile(r"(?:(\w+To\w+?)_)?m?([0-3])([0-3])", re.IGNORECASE)
 _VECTOR = re.compile(r"(?:(\w+To\w+?)_)?(x|y|z|qw|qx|qy|qz)", re.IGNORECASE)
+_PARTS = ("x", "y", "z", "qw", "qx", "qy", "qz")
 _DEFAULT = "ProbeToReference"
 _TIMES = {"time": 1.0, "timestamp": 1.0, "time_s": 1.0, "time_ms": 1e-3}
 _NAMES = ("file", "filename", "image", "name")
@@ -37,7 +39,9 @@ def read_pose_table(path: Path, files: Sequence[str]) -> dict[str, str]:
     if path.stat().st_size > _MOST_BYTES:
         raise ConfigurationError(f"{path}: it is too large for a table of poses")
     with refusing_failures(path, "it is no table of poses"):
-        text = path.read_text(encoding="utf-8-sig", errors="replace")
+        data = path.read_bytes()
+        encoding = "utf-16" if data.startswith((BOM_UTF16_LE, BOM_UTF16_BE)) else "utf-8-sig"
+        text = data.decode(encoding, errors="replace")
         lines = text.splitlines()
         separator = next((each for each in ",;\t" if lines and each in lines[0]), ",")
         rows = list(csv.DictReader(lines, delimiter=separator))
@@ -50,6 +54,7 @@ def read_pose_table(path: Path, files: Sequence[str]) -> dict[str, str]:
                 "z, qw, qx, qy and qz, or m00 to m23"
             )
         fields: dict[str, str] = {}
+        posed, unread = dict[int, int](), ""
         numbers = {name: number for number, name in enumerate(files)}
         for place, raw in enumerate(rows):
             row = {_plain(str(key)): str(value).strip() for key, value in raw.items() if key}
@@ -61,13 +66,34 @@ def read_pose_table(path: Path, files: Sequence[str]) -> dict[str, str]:
                     f"{path}: row {place + 1} is that of frame {number}; there are {len(files)}, "
                     "counted from 0"
                 )
+            if number in posed:
+                raise ConfigurationError(
+                    f"{path}: rows {posed[number] + 1} and {place + 1} are both that of "
+                    f"{files[number]}"
+                )
+            posed[number] = place
             frame = f"Seq_Frame{number:04d}"
             for name, scale in _TIMES.items():
                 if name in row:
                     fields[f"{frame}_Timestamp"] = repr(scale * number_or_nan(row[name]))
-            for name, text in _matrices(path, row).items():
+            matrices = _matrices(path, row)
+            for name, text in matrices.items():
                 fields[f"{frame}_{name}Transform"] = text
+            if not matrices and not unread:
+                unread = f"row {place + 1}: {_unread(row)}"
+        if not any(name.endswith("Transform") for name in fields):
+            raise ConfigurationError(f"{path}: none of its rows has a pose; {unread}")
         return fields
+
+
+def _unread(row: Mapping[str, str]) -> str:
+    """Return what of a row without a pose is no number."""
+    for key, text in row.items():
+        part = _ELEMENT.fullmatch(key) or _VECTOR.fullmatch(key)
+        if part and not np.isfinite(number_or_nan(text)):
+            comma = ", with a comma for a point?" if re.fullmatch(r"-?\d+,\d+", text) else ""
+            return f"column {key}: {text!r} is no number{comma}"
+    return "its quaternion is 0"
 
 
 def _plain(key: str) -> str:
@@ -106,7 +132,10 @@ def _matrices(path: Path, row: Mapping[str, str]) -> dict[str, str]:
             vectors.setdefault(name, {})[match[2].lower()] = number
     for name, each in vectors.items():
         if len(each) != 7:
-            raise ConfigurationError(f"{path}: a pose is x, y, z, qw, qx, qy and qz, or a matrix")
+            missing = ", ".join(key for key in _PARTS if key not in each)
+            raise ConfigurationError(
+                f"{path}: a pose is {', '.join(_PARTS)}, or a matrix; there is no column {missing}"
+            )
         q = np.array([each[key] for key in ("qw", "qx", "qy", "qz")])
         place = [each[key] for key in "xyz"]
         if np.isfinite(q).all() and np.isfinite(place).all() and np.linalg.norm(q) > 0:

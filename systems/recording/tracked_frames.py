@@ -71,9 +71,12 @@ class TrackedFrames(FileItems):
             return TransformChain("Image", chain.end, (*own.links, *chain.links))
         spacing = np.linalg.norm(self.file.directions[:, :2], axis=0)
         if np.allclose(spacing, 1.0) and "ElementSpacing" not in self._fields:
+            name = f"ImageTo{chain.start}"
+            there = name + "Transform" in self.file.fields
             raise ConfigurationError(
-                f"{self.path}: the calibration ImageTo{chain.start} is missing, which tells the "
-                f"size and place of the pixels; give it with --calibration or --plus-config"
+                f"{self.path}: the calibration {name} is missing, which tells the size and place "
+                "of the pixels; give it with --calibration or --plus-config"
+                + (f" (the header's {name}Transform is that of no frame)" if there else "")
             )
         return chain
 

@@ -1,7 +1,9 @@
 """Reader of a folder with a file for each volume, as many laboratories keep them."""
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +24,8 @@ def open_volume_folder(
     """
     if len(files) > MAX_FILES:
         raise ConfigurationError(f"{path}: {len(files)} files; at most {MAX_FILES} are allowed")
-    volumes = [open_one(each) for each in natural_order(files)]
+    files = natural_order(files)
+    volumes = [open_one(each) for each in files]
     first = volumes[0]
     fields, times = dict(first.fields), []
     for number, each in enumerate(volumes):
@@ -51,5 +54,22 @@ def open_volume_folder(
         read=lambda number: volumes[number].read(0),
         times=None if np.isnan(times).any() else np.array(times),
         fields=fields,
-        notes=tuple(dict.fromkeys(note for each in volumes for note in each.notes)),
+        notes=(
+            *dict.fromkeys(note for each in volumes for note in each.notes),
+            *_holes([each.stem for each in files]),
+        ),
+    )
+
+
+def _holes(stems: Sequence[str]) -> tuple[str, ...]:
+    """Return a note if files are numbered one by one, and some numbers are missing."""
+    numbers = [int(re.findall(r"\d+", each)[-1]) for each in stems if re.search(r"\d", each)]
+    holes = [(a + 1, b - 1) for a, b in pairwise(numbers) if b > a + 1]
+    if len(numbers) < len(stems) or not 0 < len(holes) < len(stems) // 2:
+        return ()
+    first, last = holes[0]
+    shown = f"{first}" if first == last else f"{first} to {last}"
+    return (
+        f"numbers are missing among the files, such as {shown}; without times, the volumes on both "
+        "sides count as neighbours",
     )

@@ -91,7 +91,9 @@ def read_explained_run(folder: Path) -> ExplainedRun:
         raise ConfigurationError(f"there is no folder {folder}; make it: {make}")
     if not (folder / FOLDER).is_dir():
         scenario = folder / "scenario.yaml"
-        if scenario.is_file():
+        if (folder / "estimates.csv").is_file():
+            make = f"sonoservo track SOURCE --explain --out {shlex.quote(str(folder))}"
+        elif scenario.is_file():
             make = f"sonoservo run {shlex.quote(str(scenario))} --explain"
         raise ConfigurationError(f"{folder} has no explanations; repeat the run: {make}")
     with refusing_values():

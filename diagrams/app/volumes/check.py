@@ -2,13 +2,14 @@
 
 import time
 from collections import Counter, deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 from pydrake.math import RotationMatrix
 
 from sonoservo.diagrams.app.options import Reading
@@ -25,6 +26,7 @@ from sonoservo.systems.evaluation.source_checks import (
     Finding,
     Grade,
     check_across,
+    check_contents,
     check_delay,
     check_errors,
     check_matrices,
@@ -61,6 +63,7 @@ _KEPT, _DEVICES = 24, 32
 _ERROR_MM = 2.0  # Error of a calibration in mm that shows in a needle's place
 _LETTERS = ("LR", "PA", "SI")
 _SECONDS = 5.0
+_MOST_BYTES = 1 << 30  # most that is read to see whether volumes repeat each other
 
 
 @dataclass
@@ -177,7 +180,7 @@ def brief_finding(opened: Opened) -> str:
     if isinstance(opened, Recording):
         findings += check_spacing(np.linalg.norm(file.directions, axis=0))
     else:
-        findings += check_pixels("the frames", opened.pixel_sizes)
+        findings.append(check_pixels("the frames", opened.pixel_sizes))
     return _on_one_line(gravest(findings), opened.path)
 
 
@@ -255,14 +258,17 @@ def _check_recording(checked: CheckedSource, recording: Recording, depth: str) -
             checked.show(volume, (recording.X_WL(middle).inverse() @ volume.X_WP).rotation())
         if number in calibrated:
             calibration = calibration.seen(volume)
-    checked.findings += [*check_numbers(recording.file.read(0)), *check_seen(shares)]
+    checked.findings += [*check_numbers(file.read(0)), *check_seen(shares)]
+    checked.findings += check_contents(_first_ones(file))
     if calibrates:
         checked.findings += check_errors(calibration.errors)
 
 
 def _check_frames(checked: CheckedSource, volumes: ReconstructedRecording) -> None:
     file = volumes.file
-    checked.note(Check.KIND, f"{file.count} 2D frames of {file.shape[0]} x {file.shape[1]} pixels")
+    pixels = f"{file.shape[0]} x {file.shape[1]} pixels"
+    box = " x ".join(f"{each:.0f}" for each in volumes.pixel_sizes * file.shape[:2])
+    checked.note(Check.KIND, f"{file.count} 2D frames of {pixels}, {box} mm")
     if volumes.skipped:
         text = f"{counted(volumes.skipped, 'frame')} marked as invalid, or without pose or time"
         advice = "these are left out; keep the probe in the tracker's sight"
@@ -273,7 +279,20 @@ def _check_frames(checked: CheckedSource, volumes: ReconstructedRecording) -> No
     checked.show(volume, volume.X_WP.rotation())
     sweeps = [volumes.sweep(number) for number in range(min(len(volumes), _SWEEPS))]
     checked.findings += [*check_across(sweeps), *check_delay(sweep_delay(sweeps))]
-    checked.findings += check_pixels("the frames", volumes.pixel_sizes)
+    checked.findings += check_contents(_first_ones(file), "frames")
+    if not any(name.startswith("Image") for name in file.frame_fields()):  # else checked above
+        checked.findings.append(check_pixels("the frames", volumes.pixel_sizes))
+
+
+def _first_ones(file: VolumeFile) -> Iterator[NDArray[Any]]:
+    """Yield the first volumes or frames of a file as it holds them, up to a number of bytes."""
+    total = 0
+    for number in range(file.count):
+        voxels = file.read(number)
+        yield voxels
+        total += voxels.nbytes
+        if total > _MOST_BYTES:
+            return
 
 
 def _letter(axis: Any) -> str:

@@ -12,6 +12,8 @@ from sonoservo.systems.recording import Recording
 
 SHORT = ["duration=0.9", "imaging.frames=7", "imaging.volume_rate=8", "hand.start=0.2"]
 MINE = """
+from dataclasses import replace
+
 import numpy as np
 from sonoservo.systems.signals import NeedleCurve, NeedleEstimate, TrackingMode
 
@@ -41,12 +43,14 @@ def bare():
 def millimetres():
     def track(volume):
         estimate = make()(volume)
-        curve = NeedleCurve(1e3 * estimate.curve.control_points)
-        return NeedleEstimate(
-            TrackingMode.TRACKING, volume.time, curve=curve, velocity=estimate.velocity,
-            covariance=estimate.covariance, volume_time=volume.time,
-        )
+        return replace(estimate, curve=NeedleCurve(1e3 * estimate.curve.control_points))
     return track
+
+def doubtless():
+    return lambda volume: replace(make()(volume), covariance=-np.eye(12))
+
+def ahead():
+    return lambda volume: replace(make()(volume), time=volume.time + 100)
 
 def timeless():
     return lambda volume: NeedleEstimate(TrackingMode.SEARCHING, volume.time)
@@ -108,6 +112,10 @@ def test_what_is_no_tracker_is_refused(mine, capsys):
         run("chatelain2013_fig5", changes=SHORT, tracker="own_tracker_of_a_test:bare")
     with pytest.raises(ConfigurationError, match="m from the probe; .* are in W, in m"):
         run("chatelain2013_fig5", changes=SHORT, tracker="own_tracker_of_a_test:millimetres")
+    with pytest.raises(ConfigurationError, match="covariance has negative variances"):
+        run("chatelain2013_fig5", changes=SHORT, tracker="own_tracker_of_a_test:doubtless")
+    with pytest.raises(ConfigurationError, match="100 s ahead of its volume"):
+        run("chatelain2013_fig5", changes=SHORT, tracker="own_tracker_of_a_test:ahead")
     with pytest.raises(ConfigurationError, match="tracker of yours failed.*division by zero"):
         run("chatelain2013_fig5", changes=SHORT, tracker="own_tracker_of_a_test:failing")
     with pytest.raises(ConfigurationError, match="plain: it is called without arguments"):

@@ -11,6 +11,7 @@ from sonoservo.systems.evaluation.source_checks import (
     Check,
     Grade,
     check_across,
+    check_contents,
     check_delay,
     check_errors,
     check_matrices,
@@ -263,8 +264,18 @@ def test_poses_in_metres_and_inverted_calibrations_are_told():
     assert worst(check_motion("TrackerToProbe", np.linalg.inv(far), angles)) is None
     matrices[:, :3, 3] *= 1e-3
     assert "are positions in mm?" in str(check_motion("ProbeToTracker", matrices, angles)[-1])
-    assert check_pixels("the frames", [0.7, 0.2]) == []
-    assert "right way round" in check_pixels("the frames", [1.43, 1.43])[0].advice
+    assert check_pixels("the frames", [0.7, 0.2]).grade is Grade.FINE
+    assert "right way round" in check_pixels("the frames", [1.43, 1.43]).advice
+    assert check_pixels("the frames", [1.0, 1.0]).advice == "calibrate ImageToProbe"
+
+
+def test_volumes_that_repeat_each_other_or_show_nothing_are_told():
+    first, second = np.random.default_rng(0).normal(size=(2, 4, 5, 6))
+    assert check_contents([first, second, first]) == []
+    nothing, frozen = check_contents([first, first, np.full_like(first, np.nan), second, second])
+    assert nothing.text == "1 of 5 volumes that were read show nothing, such as number 2"
+    assert frozen.text.startswith("2 of 5 volumes that were read repeat the one before exactly")
+    assert check_contents([np.zeros((4, 4), np.uint8)], "frames")[0].grade is Grade.DOUBTFUL
     image = np.diag([1.43, 1.43, 1.43, 1.0])
     assert "right way round" in check_matrices("ImageToProbe", image)[0].advice
 

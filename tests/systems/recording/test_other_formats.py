@@ -109,6 +109,8 @@ def test_a_folder_of_png_with_a_table_of_poses(tmp_path, frames, mode):
     if mode == "I;16":
         for path in folder.glob("*.png"):
             Image.fromarray(np.asarray(Image.open(path)).astype(np.uint16)).save(path)
+        table = folder / "poses.csv"
+        table.write_text(table.read_text(), encoding="utf-16")
     read = TrackedFrames(folder, transforms={"ImageToProbe": CALIBRATION})
     assert_same_frames(read, frames)
     reading = Reading(calibration=" ".join(map(str, CALIBRATION.ravel())))
@@ -132,6 +134,9 @@ def test_a_row_that_is_missing_costs_its_frame(tmp_path, frames):
     ("text", "message"),
     [
         ("file,time,x\na.png,1,2", "x, y, z, qw"),
+        ("x,y,z,w,qx,qy,qz\n1,2,3,1,0,0,0", "there is no column qw"),
+        ("file,m00\na.png,1\na.png,1", "rows 1 and 2 are both that of a.png"),
+        ("x;y;z;qw;qx;qy;qz\n1,5;2;3;1;0;0;0", "row 1: column x: '1,5' is no number, with a comma"),
         ("time,AngleToo_m00\n1,2", "names no transform"),
         ("frame,m00\n1,2", "row 1 is that of frame 1; there are 1"),
         ("Pos1,Pos2\n1,2", r"none of its columns \(Pos1, Pos2\) is part of a pose"),
