@@ -335,6 +335,10 @@ def test_a_file_for_each_volume_is_a_sequence(tmp_path):
     np.testing.assert_allclose(
         read[10].X_WP.translation() - read[0].X_WP.translation(), [0.01, 0, 0]
     )
+    assert not any("numbers are missing" in note for note in read.notes)
+    (folder / "v6.nrrd").rename(folder / "v12.nrrd")
+    notes = " ".join(Recording(folder, volume_rate=4).notes)
+    assert "numbers are missing among the files, such as 6; without times" in notes
     nrrd.write(str(folder / "v11.nrrd"), levels[0, :-1], header)
     with pytest.raises(ConfigurationError, match=r"v11.nrrd: size, spacing, axes or channels"):
         Recording(folder, volume_rate=4)
