@@ -13,6 +13,10 @@ const HELP = {
 };
 const SPEEDS = [[0.25, "¼ ×"], [0.5, "½ ×"], [1, "1 ×"], [2, "2 ×"], [0, "max"]];
 const LETTERS = { Space: "space", Period: ".", ArrowLeft: "←", ArrowRight: "→" };
+const KINDS = {
+  needle: "may be needles", resting: "at rest", riding: "with the probe", appeared: "new",
+  nothing: "speckle",
+};
 const letter = (code) => LETTERS[code] ?? code.replace("Key", "");
 const plain = (value) => (value instanceof Map ? Object.fromEntries(value) : value);
 
@@ -123,9 +127,6 @@ function showReadings() {
   text("lines", lines.length
     ? `lines followed: ${lines.map(([name, count]) => `${count} ${KINDS[name]}`).join(", ")}` : "");
 }
-
-const KINDS = {needle: "may be needles", resting: "at rest", riding: "with the probe",
-               appeared: "new", nothing: "speckle"};
 
 function describe() {
   described = JSON.parse(link.described.tags[0]);

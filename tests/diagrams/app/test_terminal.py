@@ -46,7 +46,13 @@ def test_numbers_stay_with_their_units(width):
         "consistency": {"tip": {"within_95": 1.0}},
     }
     console.print(
-        summary_table(result(detection={"volume": 3}, tracking=NEEDLE["tracking"] | tracking))
+        summary_table(
+            result(
+                detection={"volume": 3},
+                success={"found": True},
+                tracking=NEEDLE["tracking"] | tracking,
+            )
+        )
     )
     said = console.export_text()
     assert "100 % inside" in " ".join(said.split())
