@@ -35,7 +35,8 @@ _SHOWN = 0.5  # time in s above which the verdict says that something else was f
 def following_verdict(summary: Mapping[str, Any], *, follows: bool = True) -> Verdict:
     """Return the verdict on a run of following, from its summary."""
     outcome = run_outcome(summary)
-    if look_up(summary, "success.found"):
+    found = look_up(summary, "success.found")
+    if found:
         why = _found(summary) or "Whenever it was found, the estimate lay far from it at first."
     else:
         why = _missing(summary)
@@ -46,7 +47,7 @@ def following_verdict(summary: Mapping[str, Any], *, follows: bool = True) -> Ve
     mistaken = f"something else was taken for it for {wrong:.1f} s" if wrong >= _SHOWN else ""
     if outcome is RunOutcome.STOPPED:
         stopped = look_up(summary, "guard.stopped_at_end")
-        text = text if look_up(summary, "success.found") else f"No needle was found. {text}"
+        text = text if found else f"No needle was found. {text}"
         return Verdict(f"The guard stopped the robot because {stopped}", text, "bad")
     if outcome is RunOutcome.UNTOUCHED:
         return Verdict("The probe never touched the body", text, "bad")
