@@ -188,6 +188,7 @@ class _Reader:
         dtype = np.dtype((">" if endian == "big" else "<") + _CODES[header["type"].lower()])
         size = nx * ny * nz * count * channels * dtype.itemsize
         data = self._data(size)
+        self.notes += data.notes()
         if listed == 0 and count > 1:
             require_memory(size, str(self.path), f"{count} volumes with the list axis first")
             data = _turned_round(data, nx * ny * nz, count, dtype.itemsize)

@@ -200,6 +200,7 @@ class DataSection:
                 f"voxels, the file has {max(present, 0)}"
                 + (" compressed bytes" if compressed else "")
             )
+        self.surplus = 0 if compressed else max(present - size, 0)
         self._file = path.open("rb")
         self._rewind()
 
@@ -259,6 +260,12 @@ class DataSections:
 
     def __init__(self, sections: Sequence[DataSection], size: int) -> None:
         self._sections, self._size = sections, size
+
+    def notes(self) -> tuple[str, ...]:
+        """Return a sentence about bytes that no header announces."""
+        surplus = sum(each.surplus for each in self._sections)
+        said = f"the data hold {surplus} bytes more than the header announces; are its sizes right?"
+        return (said,) if surplus else ()
 
     def read(self, start: int, size: int) -> bytes:
         """Return ``size`` bytes from ``start`` on; see `DataSection.read`."""

@@ -129,7 +129,7 @@ def _describe(
         return read(number) * slope + shift
 
     fields = numbered_fields(fields, FIELDS, count)
-    notes = list(unknown_fields("MetaImage", fields, FIELDS))
+    notes = [*data.notes(), *unknown_fields("MetaImage", fields, FIELDS)]
     if not frames:
         if not any(name in fields for name in _SPACING):
             notes.append("it states no spacing; 1 mm is taken")

@@ -265,12 +265,9 @@ def class_logs(
     """
     # The visible part of a smooth line at rest depends on the angle of the sound: its end rests, or
     # slides like one of the `GLINTS`. Both are as probable.
-    all_moves = np.broadcast_to(moves, (logs.shape[1], *moves.shape[-2:]))
-    hand, probe = _hand(moves.shape[-2]), _hand(len(GLINTS))
+    hand, probe = _hand(moves.shape[1]), _hand(len(GLINTS))
 
     def of(part: slice) -> Any:
-        return _class_logs(
-            logs[part], riding[part], appearing, all_moves, hand, probe, passing[part]
-        )
+        return _class_logs(logs[part], riding[part], appearing, moves, hand, probe, passing[part])
 
     return np.concatenate([np.zeros((0, 5)), *by_parts(of, len(logs))])

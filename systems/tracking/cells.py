@@ -118,7 +118,7 @@ def cells_of(volume: Volume) -> Cells:
 def _shift_equations(  # pragma: no cover - compiled
     now: Any, now_seen: Any, before: Any, before_seen: Any, M: Any, offset: Any, same: Any
 ) -> Any:
-    """Return the normal equations of the shift of one image against another, and their difference.
+    """Return the normal equations of the shift of an image, and how alike the two are there.
 
     ``M`` and ``offset`` take indices of the cells now to those before that show the same tissue,
     and ``same`` (2, 3) factors and offsets to those at the same place in the image. A cell belongs
@@ -127,6 +127,7 @@ def _shift_equations(  # pragma: no cover - compiled
     nx, ny, nz = before.shape
     H, g, gradient = np.zeros((3, 3)), np.zeros(3), np.zeros(3)
     unlike, count = 0.0, 0
+    both, here, there = 0.0, 1e-6, 1e-6
     for i in range(1, now.shape[0] - 1, 2):
         for j in range(1, now.shape[1] - 1, 2):
             for k in range(1, now.shape[2] - 1, 2):
@@ -139,7 +140,11 @@ def _shift_equations(  # pragma: no cover - compiled
                     continue
                 if not before_seen[int(x + 0.5), int(y + 0.5), int(z + 0.5)]:
                     continue
-                error = now[i, j, k] - trilinear(before, x, y, z)
+                level = trilinear(before, x, y, z)
+                both += level * now[i, j, k]
+                here += now[i, j, k] ** 2
+                there += level**2
+                error = now[i, j, k] - level
                 gradient[0] = trilinear(before, x + 1, y, z) - trilinear(before, x - 1, y, z)
                 gradient[1] = trilinear(before, x, y + 1, z) - trilinear(before, x, y - 1, z)
                 gradient[2] = trilinear(before, x, y, z + 1) - trilinear(before, x, y, z - 1)
@@ -158,7 +163,18 @@ def _shift_equations(  # pragma: no cover - compiled
                         H[a, b] += 0.25 * weight * gradient[a] * gradient[b]
                 unlike -= math.log(rests + rides)
                 count += 1
-    return H, g, unlike, count
+    return H, g, unlike, count, both / math.sqrt(here * there), here / max(count, 1)
+
+
+def _told(alike: float, variance: float, count: int, tried: int) -> float:
+    """Return what a squared gradient tells about a shift, by the correlation of two images there.
+
+    Images are Gaussian with a ``variance``; ``count`` cells are compared at each of the shifts
+    ``tried``, of which the best one is alike by chance if the images have nothing in common.
+    """
+    squared = min(max(alike, 0.0) ** 2, 1 - 1e-3)
+    chance = tried * math.exp(-0.5 * count * squared)
+    return squared / ((1 - squared) * variance * (1 + chance))
 
 
 def tissue_shift(
@@ -179,14 +195,15 @@ def tissue_shift(
     for start in starts:
         shift = start / before.edges
         for _ in range(_STEPS):
-            H, g, unlike, count = _shift_equations(
+            H, g, unlike, count, alike, variance = _shift_equations(
                 now.levels, now.lit, before.levels, before.lit, M, offset + shift, same
             )
             if count < 200 or not np.trace(H) > 0:
                 break
             if unlike / count < least:
                 best, least = shift * before.edges, unlike / count
-                information = H / np.outer(before.edges, before.edges) / _UNLIKE**2
+                told = _told(alike, variance, count, len(starts))
+                information = told * H / np.outer(before.edges, before.edges)
             step = np.clip(np.linalg.solve(H + 1e-3 * np.trace(H) * np.eye(3), g), -1, 1)
             shift = shift + step
             if np.abs(step).max() < _CONVERGED:

@@ -272,7 +272,7 @@ def follow(belief: LineBelief, volume: Volume, *, look: bool = False) -> LineBel
             lines.image_logs[:, 0],
             np.array(appearing),
             moves,
-            _passing(lines, memory, len(appearing)),
+            _passing(lines, memory),
         )
         # Needle either way, resting, riding, appeared, nothing.
         joint = np.column_stack([logs, np.zeros(len(lines))])
@@ -353,12 +353,12 @@ def _merged(logs: Floats, number: int, axis: int, share: float) -> Floats:
     return np.moveaxis(merged, 0, axis)
 
 
-def _passing(lines: Lines, memory: Sequence[Remembered], times: int) -> Floats:
+def _passing(lines: Lines, memory: Sequence[Remembered]) -> Floats:
     """Return (n, t) bins by which the image moved along lines in tissue before each arrival."""
     p_P = memory[-1].in_image(lines.points)
-    places = np.array([each.in_tissue(p_P) for each in memory[-times:]])
-    steps = np.einsum("tni,ni->nt", np.diff(places, axis=0), lines.directions) / BIN
-    return np.pad(steps, ((0, 0), (times - steps.shape[1], 0)))
+    places = np.array([each.in_tissue(p_P) for each in memory])
+    steps = np.diff(places, axis=0, prepend=places[:1])
+    return np.asarray(np.einsum("tni,ni->nt", steps, lines.directions) / BIN)
 
 
 def _remember(volume: Volume, cells: Cells, memory: Sequence[Remembered]) -> Remembered:
@@ -433,7 +433,6 @@ def _look_on(lines: Lines, shown: _Shown, newest: Remembered) -> Lines:
     """Return lines after another volume, the last time of arrival."""
     lines = replace(
         lines,
-        logs=lines.logs.copy(),
         image_logs=lines.image_logs.copy(),
         image_levels=lines.image_levels.copy(),
         levels=lines.levels.copy(),

@@ -34,8 +34,9 @@ and of nothing. Fitted to volumes of the harder world along true needles and bey
 _RARE = 0.06
 """Share of the second Gaussian."""
 
-_DARKEST = -8.0
-"""Contrast in dB below which a bin tells no more, as something bright lies beside the line."""
+_DARKEST, _BRIGHTEST = -8.0, 25.0
+"""Contrasts in dB below and above which a bin tells no more, as something bright lies beside the
+line, and as its brightest echo is none that was fitted."""
 
 _SUREST = 3.3
 """Largest logarithm of the ratio that a bin can contribute, as some structures are not modelled."""
@@ -255,19 +256,29 @@ def _density(contrast: float, parts: Any) -> float:  # pragma: no cover - compil
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _log_ratios(contrasts: Any, ratios: Any) -> None:  # pragma: no cover - compiled
+def _densities(contrasts: Any) -> Any:  # pragma: no cover - compiled
+    """Return (2, n) densities of contrasts in dB of a line and of nothing, up to a constant."""
+    result = np.full((2, len(contrasts)), math.nan)
     for n in range(len(contrasts)):
-        contrast = max(contrasts[n], _DARKEST)
-        ratio = _density(contrast, _LINE) / _density(contrast, _NOTHING)
-        likely = min(max(math.log(max(ratio, 1e-30)), -_SUREST), _SUREST)
-        ratios[n] = math.nan if math.isnan(contrasts[n]) else likely
+        if not math.isnan(contrasts[n]):
+            contrast = min(max(contrasts[n], _DARKEST), _BRIGHTEST)
+            line, nothing = _density(contrast, _LINE), _density(contrast, _NOTHING)
+            # What is not modelled is as rare a line as it is nothing.
+            other = math.exp(-_SUREST)
+            result[0, n] = max(line, other * nothing)
+            result[1, n] = max(nothing, other * line)
+    return result
+
+
+def _line_and_nothing(contrasts: NDArray[Any]) -> Floats:
+    """Return the densities of contrasts in dB, NaN where unseen: of a line, and of nothing."""
+    return np.asarray(_densities(contrasts.reshape(-1))).reshape(2, *contrasts.shape)
 
 
 def log_ratio(contrasts: NDArray[Any]) -> Floats:
     """Return the logarithms of the likelihood ratios of contrasts in dB: a line against nothing."""
-    ratios = np.empty(contrasts.shape)
-    _log_ratios(contrasts.reshape(-1), ratios.reshape(-1))
-    return ratios
+    line, nothing = _line_and_nothing(contrasts)
+    return np.asarray(np.log(line / nothing))
 
 
 class Change(NamedTuple):
@@ -288,26 +299,13 @@ ALL_NEW = Change(1.0, 1.0)
 """Change since a volume that did not show the line."""
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _densities_of_nothing(contrasts: Any, densities: Any) -> None:  # pragma: no cover - compiled
-    for n in range(len(contrasts)):
-        densities[n] = _density(max(contrasts[n], _DARKEST), _NOTHING)
-
-
-def _nothing(contrasts: NDArray[Any]) -> Floats:
-    """Return the densities of contrasts in dB where there is nothing, up to a constant."""
-    densities = np.empty(contrasts.shape)
-    _densities_of_nothing(contrasts.reshape(-1), densities.reshape(-1))
-    return densities
-
-
 def repeat_ratio(now: LineLevels, before: NDArray[Any], change: Change) -> Floats:
     """Return the densities of levels that repeat those before, relative to those of nothing new.
 
     ``before`` are (n, BINS) levels in dB, NaN where they were not seen; so is the result.
     """
     steps = np.asarray(now.levels - before, np.float64)
-    return _repeats(steps**2 / change.scale**2) / change.scale / _nothing(now.contrasts)
+    return _repeats(steps**2 / change.scale**2) / change.scale / _line_and_nothing(now.contrasts)[1]
 
 
 def _repeats(squares: Floats) -> Floats:
@@ -325,7 +323,7 @@ def change_between(now: LineLevels, before: NDArray[Any]) -> Change:
     if not both.any():
         return ALL_NEW
     contrasts, squares = now.contrasts[both], steps[both] ** 2
-    anew = 0.5 * (1 + np.exp(log_ratio(contrasts))) * _nothing(contrasts)
+    anew = 0.5 * _line_and_nothing(contrasts).sum(axis=0)
     renewed, variance = 0.5, float(np.median(squares)) + 1 / len(squares)
     for _ in range(_ROUNDS):
         same = (1 - renewed) * _repeats(squares / variance) / math.sqrt(variance)

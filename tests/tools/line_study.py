@@ -218,7 +218,7 @@ def tails(recording, freedoms=(2, 3, 4, 5, 8, 30)):
             for now, last in shown[::2]:
                 change = original(now, last)
                 both = np.isfinite(now.levels - last)
-                nothing = line_contrast._nothing(now.contrasts[both])
+                nothing = line_contrast._line_and_nothing(now.contrasts[both])[1]
                 anew = 0.5 * (1 + np.exp(line_contrast.log_ratio(now.contrasts[both])))
                 same = line_contrast.repeat_ratio(now, last, change)[both]
                 share = change.renewed

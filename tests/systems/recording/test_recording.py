@@ -140,6 +140,19 @@ def test_a_fault_is_one_line_that_names_the_file(tmp_path, name):
     assert "\n" not in text
 
 
+@pytest.mark.parametrize("name", ["more.seq.nrrd", "more.mha"])
+def test_data_without_a_header_are_told(tmp_path, name):
+    """A size that is too small shears every volume."""
+    path = tmp_path / name
+    if name.endswith("mha"):
+        write_meta_image(path, ARRAYS, tracked(4))
+    else:
+        write_sequence_nrrd(path, ARRAYS, encoding="raw")
+    assert not any("more than" in note for note in Recording(path).notes)
+    path.write_bytes(path.read_bytes() + bytes(240))
+    assert "the data hold 240 bytes more than the header" in " ".join(Recording(path).notes)
+
+
 def test_a_thousand_volumes_take_the_memory_of_a_few(tmp_path):
     """16 MB of volumes, gzip and list axis first: at no time are more than some of them held."""
     shape = (20, 40, 20)

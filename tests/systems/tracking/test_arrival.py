@@ -77,12 +77,11 @@ def slides(passing):
 def test_classes_are_the_sums_over_all_histories():
     bins, times = 4, 3
     rng = np.random.default_rng(3)
-    moves = rng.uniform(0.1, 1.0, (3, 3))
-    moves /= moves.sum(axis=1, keepdims=True)
+    moves = rng.uniform(0.1, 1.0, (times, 3, 3))
+    moves /= moves.sum(axis=2, keepdims=True)
     appearing = np.log([1e-20, 0.01, 0.02])
     logs, riding = rng.normal(0.5, 2.0, (2, times, bins)), rng.normal(0.0, 2.0, (2, bins))
     logs[1, 0, 0] = 0.0  # not seen
-    pushes = np.broadcast_to(moves, (times, *moves.shape))
     passing = np.array([[0.0, 1.0, -0.7], [0.0, 0.0, 0.0]])
     found = class_logs(logs, riding, appearing, moves, passing)
     for n in range(2):
@@ -90,8 +89,8 @@ def test_classes_are_the_sums_over_all_histories():
         seen = [int(np.flatnonzero(each != 1)[0]) for each in (factors[0], factors[0, ::-1])]
         at_once = [bernoulli_chain(factors[t]) + appearing[t] for t in range(1, times)]
         expected = [
-            advancing(factors, pushes, seen[0]),
-            advancing(factors[:, ::-1], pushes, seen[1]),
+            advancing(factors, moves, seen[0]),
+            advancing(factors[:, ::-1], moves, seen[1]),
             logsumexp(
                 [
                     bernoulli_chain(factors[0]),
@@ -195,7 +194,8 @@ def test_a_kymograph_shows_what_a_line_is(kind):
     appearing = np.log(np.full(times, PRIOR))
     appearing[0] = -50.0
     passing = np.full((1, times), 2.0 if kind == "uncovered" else 0.0)
-    classes = class_logs(logs[:, :times], image_logs[:, 0], appearing, advances(0.3), passing)[0]
+    moves = np.array([advances(0.3)] * times)
+    classes = class_logs(logs[:, :times], image_logs[:, 0], appearing, moves, passing)[0]
     classes = np.append(classes, 0.0)
     assert KINDS[int(classes.argmax())] == kind.replace("uncovered", "resting")
     assert classes.max() > np.sort(classes)[-2] + 0.5

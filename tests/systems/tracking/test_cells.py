@@ -59,6 +59,18 @@ def test_what_rides_with_the_probe_does_not_move_the_tissue():
     np.testing.assert_allclose(shift, 0, atol=0.4e-3)
 
 
+@pytest.mark.parametrize("away", [0.02, 0.03, 0.04])
+def test_unlike_images_tell_nothing_about_a_shift(away):
+    """Their best shift is one by chance; that of alike ones is known to a fraction of a cell."""
+    before, known = cells(noise=4.0), []
+    for place in (away, 0.0):
+        now = cells(RigidTransform([0, 0, place]), noise=4.0, seed=1)
+        _, information = tissue_shift(now, before, np.eye(4), STARTS)
+        known.append(np.linalg.eigvalsh(information))
+    assert (known[0] < 1 / 3e-3**2).all()
+    assert (known[1] > 1 / 0.3e-3**2).all()
+
+
 def test_nothing_in_common_is_no_shift():
     dark = replace(cells(), lit=np.zeros(SHAPE, bool))
     for each in tissue_shift(dark, cells(), np.eye(4), STARTS):

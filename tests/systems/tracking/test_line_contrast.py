@@ -11,11 +11,13 @@ from sonoservo.systems.tracking.line_contrast import (
     BIN,
     BINS,
     MIDDLES,
+    Change,
     LineLevels,
     across,
     change_between,
     line_levels,
     log_ratio,
+    repeat_ratio,
     stretches,
 )
 from sonoservo.systems.tracking.line_fit import fitted_lines
@@ -70,6 +72,15 @@ def test_what_is_not_seen_is_weak_evidence_against_a_line():
     firsts, lasts, sums = stretches(contrasts)
     assert (firsts[0], lasts[0]) == (0, 11)
     assert sums[0] == pytest.approx(10 * log_ratio(np.array([6.0]))[0] - 1.0)
+
+
+def test_a_level_far_beyond_all_models_does_not_repeat_a_dark_one():
+    """However bright a needle is, that it came is more probable than that nothing changed."""
+    before = np.full((1, 1), 5.0)
+    for contrast in (10.0, 25.0, 45.0, 60.0):
+        now = LineLevels(*np.full((2, 1, 1), contrast, np.float32))
+        repeats = repeat_ratio(now, before, Change(0.05, 0.2))
+        assert 0.95 * repeats[0, 0] < 0.05 * np.exp(log_ratio(now.contrasts)[0, 0])
 
 
 @pytest.mark.parametrize(("renewed", "scale"), [(0.01, 1.0), (0.4, 1.5)])
