@@ -1,7 +1,9 @@
 """Trackers of a user's own, as the benchmark takes them, in the place of the built-in ones."""
 
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import TypeAlias
 
 import numpy as np
@@ -41,6 +43,16 @@ def without_own_tracker(changes: Sequence[str] | None) -> tuple[list[str], str |
     return fields, own
 
 
+def _importable(text: str) -> str:
+    """Return ``module:factory`` for ``folder/module.py:factory``, whose folder is searched then."""
+    module, _, name = text.partition(":")
+    path = Path(module)
+    if path.suffix != ".py" and len(path.parts) == 1:
+        return text
+    sys.path.insert(0, str(path.parent))
+    return f"{path.name.removesuffix('.py')}:{name}"
+
+
 def as_system(tracker: OwnTracker, *, period: float, offset: float = 0.0) -> System:
     """Return a tracker as a system that looks for a volume at such times, in s.
 
@@ -51,7 +63,7 @@ def as_system(tracker: OwnTracker, *, period: float, offset: float = 0.0) -> Sys
             tracker,
             "it is called without arguments, to return a function of a Volume or a Drake system",
         ):
-            name, step = tracker, start_tracker(resolve_entrant(tracker, {}), seed=0)
+            name, step = tracker, start_tracker(resolve_entrant(_importable(tracker), {}), seed=0)
         module, _, function = tracker.partition(":")
     elif isinstance(tracker, System | type) or not callable(tracker):
         return tracker
@@ -93,7 +105,8 @@ class _FunctionTracker(LeafSystem):
         newest = context.get_abstract_state(self._newest).get_value()
         if not isinstance(volume, Volume) or volume is newest:
             return EventStatus.DidNothing()
-        with refusing_failures(self._name, "this tracker of yours failed (--debug says where)"):
+        failed = f"this tracker of yours failed at {volume.time:.2f} s (--debug says where)"
+        with refusing_failures(self._name, failed):
             estimate = checked(self._step, volume, self._name)
         if estimate and (estimate.velocity is None or estimate.covariance is None):
             raise ConfigurationError(

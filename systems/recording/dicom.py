@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from sonoservo.systems.files.memory import require_memory
 from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures, require_extra
 from sonoservo.systems.files.volume_file import VolumeFile, check_layout, require_frames
-from sonoservo.systems.recording.grey_levels import as_frame, grey_or_colours
+from sonoservo.systems.recording.grey_levels import as_frame, most_channels
 from sonoservo.systems.recording.pose_table import read_pose_table
 
 _2D = _TISSUE = 1
@@ -37,7 +37,7 @@ def open_dicom(path: Path, *, frames: bool = False) -> VolumeFile:
     if data.get("PhotometricInterpretation", "") == "PALETTE COLOR":
         raise ConfigurationError(f"{path}: PhotometricInterpretation: palettes are not supported")
     require_frames(path, frames, f"{count} frames of DICOM")
-    fields = read_pose_table(path.with_suffix(".csv"), [str(k) for k in range(count)])
+    fields, notes = read_pose_table(path.with_suffix(".csv"), [str(k) for k in range(count)])
     left, top, right, bottom, spacing, note = _region(data, columns, rows)
     slope, shift = (
         float(data.get(f"Rescale{name}", default))
@@ -54,18 +54,17 @@ def open_dicom(path: Path, *, frames: bool = False) -> VolumeFile:
             frame = (most - frame.astype(np.int64)).astype(frame.dtype)
         return frame if (slope, shift) == (1.0, 0.0) else frame * slope + shift
 
-    first = numbers(0)
-    shape, channels = (right - left, bottom - top, 1), grey_or_colours(first)
+    shape, channels = (right - left, bottom - top, 1), most_channels(numbers, count)
     check_layout(path, shape, count, np.eye(3), frames=True)
 
     def read(number: int) -> NDArray[Any]:
-        return as_frame(numbers(number), channels)
+        return as_frame(numbers(number), channels, f"{path}: frame {number}")
 
     padding = data.get("PixelPaddingValue", None)
     directions = np.diag([*spacing, 1.0])
     return VolumeFile(
         path, shape, count, directions, np.zeros(3), read, _times(data, count), fields,
-        (note,) if note else (), channels, None if padding is None else float(padding),
+        (*notes, *([note] if note else [])), channels, None if padding is None else float(padding),
     )  # fmt: skip
 
 

@@ -55,7 +55,8 @@ def open_file(path: Path, *, frames: bool = False, orientation: str = "") -> Vol
     suffix = _suffix(path)
     if suffix not in FORMATS:
         raise ConfigurationError(
-            f"{path}: this file type is not supported; use {', '.join(FORMATS)}"
+            f"{path}: this file type is not supported; use {', '.join(FORMATS)}, and write arrays "
+            "with RecordingWriter"
         )
     return as_plus_means(FORMATS[suffix](path, frames=frames), orientation)
 

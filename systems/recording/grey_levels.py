@@ -1,7 +1,7 @@
 """Conversion of a file's numbers to grey levels."""
 
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,6 +22,7 @@ _ALMOST_ALL = 0.999
 
 _REMEMBERED = 8  # Number of volumes that share in the choice of a window
 _OTHER = 1.25  # Ratio of the widths of two windows from which they are not the same
+_LOOKS = 20  # Number of images that tell whether there are colours
 _LUMINANCE = np.array([0.299, 0.587, 0.114])  # Weights of red, green and blue (ITU-R BT.601)
 
 
@@ -39,8 +40,21 @@ def grey_or_colours(pixels: NDArray[Any]) -> int:
     return 1 if grey or pixels.shape[-1] <= 2 else int(pixels.shape[-1])
 
 
-def as_frame(pixels: NDArray[Any], channels: int) -> NDArray[Any]:
+def most_channels(read: Callable[[int], NDArray[Any] | None], count: int) -> int:
+    """Return the channels of images, by some of them: the first may be grey, and others not.
+
+    ``read`` returns one of ``count`` images, or None if it cannot be read.
+    """
+    looked_at = (read(number) for number in sorted({*range(0, count, max(1, count // _LOOKS))}))
+    return max((grey_or_colours(each) for each in looked_at if each is not None), default=1)
+
+
+def as_frame(pixels: NDArray[Any], channels: int, name: str) -> NDArray[Any]:
     """Return an image of ``channels`` as a volume of one layer, colours along a last axis."""
+    if channels == 1 and grey_or_colours(pixels) > 1:
+        raise ConfigurationError(
+            f"{name}: it is in colour, and the images looked at first are grey; save all as grey"
+        )
     layer = pixels[:, :, np.newaxis]
     return layer[..., 0] if pixels.ndim == 3 and channels == 1 else layer
 

@@ -10,7 +10,7 @@ from sonoservo.systems.files.counting import counted
 from sonoservo.systems.files.natural_order import natural_order
 from sonoservo.systems.files.refusals import ConfigurationError, require_extra
 from sonoservo.systems.files.volume_file import VolumeFile, check_layout, require_frames
-from sonoservo.systems.recording.grey_levels import as_frame, grey_or_colours
+from sonoservo.systems.recording.grey_levels import as_frame, most_channels
 from sonoservo.systems.recording.pose_table import read_pose_table
 
 TABLE = "poses.csv"
@@ -26,10 +26,10 @@ def open_png_folder(path: Path, *, frames: bool = False) -> VolumeFile:
     require_frames(path, frames, f"{len(files)} PNG images")
     tables = sorted(path.glob("*.csv"))
     table = path / TABLE if path / TABLE in tables or len(tables) != 1 else tables[0]
-    fields = read_pose_table(table, [each.name for each in files])
+    fields, notes = read_pose_table(table, [each.name for each in files])
     rows = len({name[: len("Seq_Frame0000")] for name in fields})
-    lacking = counted(len(files) - rows, "image")
-    notes = () if rows == len(files) else (f"{lacking} without a row in {table.name}",)
+    if rows < len(files):
+        notes.append(f"{counted(len(files) - rows, 'image')} without a row in {table.name}")
 
     def pixels(number: int) -> NDArray[Any]:
         with image.open(files[number]) as opened:
@@ -47,7 +47,7 @@ def open_png_folder(path: Path, *, frames: bool = False) -> VolumeFile:
     first = next((each for n in range(len(files)) if (each := readable(n)) is not None), None)
     if first is None:
         raise ConfigurationError(f"{path}: none of its {len(files)} PNG images can be read")
-    shape, channels = first.shape, grey_or_colours(first)
+    shape, channels = first.shape, most_channels(readable, len(files))
     size = (shape[0], shape[1], 1)
     check_layout(path, size, len(files), np.eye(3), frames=True)
 
@@ -59,8 +59,8 @@ def open_png_folder(path: Path, *, frames: bool = False) -> VolumeFile:
             raise ConfigurationError(
                 f"{files[number]}: {here.shape} pixels; the first image has {shape}"
             )
-        return as_frame(here, channels)
+        return as_frame(here, channels, str(files[number]))
 
     return VolumeFile(
-        path, size, len(files), np.eye(3), np.zeros(3), read, None, fields, notes, channels
+        path, size, len(files), np.eye(3), np.zeros(3), read, None, fields, tuple(notes), channels
     )

@@ -4,7 +4,7 @@ import csv
 import re
 from codecs import BOM_UTF16_BE, BOM_UTF16_LE
 from collections.abc import Mapping, Sequence
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 
 import numpy as np
 from pydrake.common.eigen_geometry import Quaternion
@@ -20,18 +20,20 @@ _ELEMENT = re.compile(r"(?:(\w+To\w+?)_)?m?([0-3])([0-3])", re.IGNORECASE)
 _VECTOR = re.compile(r"(?:(\w+To\w+?)_)?(x|y|z|qw|qx|qy|qz)", re.IGNORECASE)
 _PARTS = ("x", "y", "z", "qw", "qx", "qy", "qz")
 _DEFAULT = "ProbeToReference"
-_TIMES = {"time": 1.0, "timestamp": 1.0, "time_s": 1.0, "time_ms": 1e-3}
+_TIMES = {"time": 1.0, "timestamp": 1.0, "time_s": 1.0, "time_ms": 1e-3, "timestamp_ms": 1e-3}
 _NAMES = ("file", "filename", "image", "name")
+_ROUNDED = 1e-2  # Largest difference from 1 of the length of a unit quaternion that is rounded
 
 
-def read_pose_table(path: Path, files: Sequence[str]) -> dict[str, str]:
-    """Read a table with a row for each frame's file, as the fields that PLUS would write.
+def read_pose_table(path: Path, files: Sequence[str]) -> tuple[dict[str, str], list[str]]:
+    """Read a table with a row for each frame's file, as fields that PLUS would write, and notes.
 
     The first row names the columns, which commas, semicolons or tabs separate. ``file`` or
-    ``frame`` (from 0) tells which frame a row belongs to; without either, rows are in order.
-    ``time`` is in s, ``time_ms`` in ms. A pose is ``x, y, z`` in mm with the unit quaternion ``qw,
-    qx, qy, qz``, or the elements ``m00`` to ``m23`` of a matrix in mm. It is that of the probe in
-    the reference (``ProbeToReference``), unless the columns begin with another name, such as
+    ``frame`` (from 0) tells which frame a row belongs to; without either, rows are in order. A
+    file's name may have a folder before it, other capitals or no suffix. ``time`` is in s,
+    ``time_ms`` in ms. A pose is ``x, y, z`` in mm with the unit quaternion ``qw, qx, qy, qz``, or
+    the elements ``m00`` to ``m23`` of a matrix in mm. It is that of the probe in the reference
+    (``ProbeToReference``), unless the columns begin with another name, such as
     ``ImageToReference_m00``. A frame whose row cannot be read is left out.
     """
     if not path.is_file():
@@ -55,11 +57,13 @@ def read_pose_table(path: Path, files: Sequence[str]) -> dict[str, str]:
             )
         fields: dict[str, str] = {}
         posed, unread = dict[int, int](), ""
-        numbers = {name: number for number, name in enumerate(files)}
+        numbers = {Path(name).stem.casefold(): number for number, name in enumerate(files)}
+        numbers |= {name.casefold(): number for number, name in enumerate(files)}
         for place, raw in enumerate(rows):
             row = {_plain(str(key)): str(value).strip() for key, value in raw.items() if key}
             number = _number(path, row, place, numbers)
             if number is None:
+                unread = unread or f"row {place + 1}: {_unknown(row, files)}"
                 continue
             if number >= len(files):
                 raise ConfigurationError(
@@ -83,7 +87,25 @@ def read_pose_table(path: Path, files: Sequence[str]) -> dict[str, str]:
                 unread = f"row {place + 1}: {_unread(row)}"
         if not any(name.endswith("Transform") for name in fields):
             raise ConfigurationError(f"{path}: none of its rows has a pose; {unread}")
-        return fields
+        unused = [each for each in names if not _is_read(each)]
+        notes = [f"columns of {path.name} that are not read: {', '.join(unused)}"] if unused else []
+        return fields, notes
+
+
+def _is_read(name: str) -> bool:
+    return bool(
+        _ELEMENT.fullmatch(name)
+        or _VECTOR.fullmatch(name)
+        or name.lower() in {*_NAMES, *_TIMES, "frame"}
+    )
+
+
+def _unknown(row: Mapping[str, str], files: Sequence[str]) -> str:
+    """Return why a row belongs to no frame."""
+    for name in _NAMES:
+        if name in row:
+            return f"column {name}: there is no image {row[name]!r}; the first one is {files[0]!r}"
+    return f"column frame: {row['frame']!r} is no number from 0 on"
 
 
 def _unread(row: Mapping[str, str]) -> str:
@@ -93,7 +115,7 @@ def _unread(row: Mapping[str, str]) -> str:
         if part and not np.isfinite(number_or_nan(text)):
             comma = ", with a comma for a point?" if re.fullmatch(r"-?\d+,\d+", text) else ""
             return f"column {key}: {text!r} is no number{comma}"
-    return "its quaternion is 0"
+    return "its quaternion has a length other than 1"
 
 
 def _plain(key: str) -> str:
@@ -106,10 +128,11 @@ def _number(
 ) -> int | None:
     for name in _NAMES:
         if name in row:
-            return numbers.get(Path(row[name]).name)
+            return numbers.get(PureWindowsPath(row[name]).name.casefold())
     if "frame" not in row:
         return place
-    return int(row["frame"]) if row["frame"].isdecimal() else None
+    number = number_or_nan(row["frame"])
+    return int(number) if number >= 0 and number.is_integer() else None
 
 
 def _matrices(path: Path, row: Mapping[str, str]) -> dict[str, str]:
@@ -138,7 +161,11 @@ def _matrices(path: Path, row: Mapping[str, str]) -> dict[str, str]:
             )
         q = np.array([each[key] for key in ("qw", "qx", "qy", "qz")])
         place = [each[key] for key in "xyz"]
-        if np.isfinite(q).all() and np.isfinite(place).all() and np.linalg.norm(q) > 0:
+        if (
+            np.isfinite(q).all()
+            and np.isfinite(place).all()
+            and abs(np.linalg.norm(q) - 1) < _ROUNDED
+        ):
             pose = RigidTransform(Quaternion(q / np.linalg.norm(q)), place)
             found[name] = pose.GetAsMatrix4()
     return {

@@ -18,6 +18,9 @@ _MAPS = ("image_sc", "image")
 _RAW = ("raw_data", "aligned_data", "beamformed_data", "envelope_data")
 # Order of the places of the first and last pixels, in m; z is the depth, y the elevation.
 _EXTENT = ("xmin", "xmax", "ymin", "ymax", "zmax", "zmin")
+_LAYOUT = (
+    f"volumes are data/image/pixels (n, x, z, y), and data/image/extent in m: {', '.join(_EXTENT)}"
+)
 
 
 def open_zea(path: Path, *, frames: bool = False) -> VolumeFile:
@@ -58,11 +61,15 @@ def _pixels(path: Path, data: Any) -> tuple[Any, Any]:
         found = data[name]
         if hasattr(found, "shape"):  # older files hold (n, z, x) without an extent
             if found.ndim != 3:
-                raise ConfigurationError(f"{path}: data/{name}: {found.shape} is not (n, z, x)")
+                raise ConfigurationError(
+                    f"{path}: data/{name}: {found.shape} is not (n, z, x); {_LAYOUT}"
+                )
             return _Turned(found), None
         pixels = found["pixels"] if "pixels" in found else found["values"]
         if pixels.ndim not in (3, 4):
-            raise ConfigurationError(f"{path}: data/{name}: {pixels.shape} is not (n, x, z, y)")
+            raise ConfigurationError(
+                f"{path}: data/{name}: {pixels.shape} is not (n, x, z, y); {_LAYOUT}"
+            )
         return pixels, found["extent"][()] if "extent" in found else None
     held = [name for name in _RAW if name in data]
     what = f"it holds {', '.join(held)}" if held else "it holds none"

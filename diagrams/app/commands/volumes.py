@@ -22,6 +22,7 @@ from sonoservo.diagrams.app.options import (
     Tracker,
     WaitOption,
     console,
+    free_folder,
     refusing_values,
     say,
     say_notes,
@@ -131,7 +132,7 @@ def _track_stream(
     from sonoservo.systems.live.connection.address import parse_address
 
     place = parse_address(address)
-    folder = results.out or Path("out") / f"{place.file_name}_track"
+    folder = results.out or free_folder(f"{place.file_name}_track")
     names = needle_names(sending.names or [], points=sending.points)
     with ExitStack() as stack:
         status = stack.enter_context(console.status("waiting for the first volume"))
@@ -184,7 +185,8 @@ def _track_file(
 
     recording = open_volumes(path, reading)
     _say_about(recording)
-    folder = results.out or Path("out") / f"{path.name.partition('.')[0]}_track"
+    name = path.name if path.is_dir() else path.stem.removesuffix(".seq").removesuffix(".nii")
+    folder = results.out or free_folder(f"{name}_track")
     viewed = ViewedRun(log)
     pages = open_page(path.name)
     with volume_progress(console, "Tracking", path.name, len(recording)) as progress:

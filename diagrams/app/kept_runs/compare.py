@@ -168,6 +168,11 @@ def read_kept_results(folder: Path, name: str = "") -> KeptResults:
     """Read the results of a run from its folder, whose name is the run's by default."""
     if not folder.is_dir():
         raise ConfigurationError(f"{folder}: there is no such folder")
+    if (folder / "estimates.csv").is_file():
+        raise ConfigurationError(
+            f"{folder} is a folder of track, not of run; its report.html has the pictures, and "
+            "sonoservo track SOURCE --show shows the volumes again"
+        )
     if missing := [each for each in _FILES if not (folder / each).is_file()]:
         raise ConfigurationError(
             f"{folder} is not the folder of a run that has ended: it has no {missing[0]}"

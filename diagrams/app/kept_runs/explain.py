@@ -87,6 +87,11 @@ class ExplainedRun:
 def read_explained_run(folder: Path) -> ExplainedRun:
     """Read the explained volumes of a run; a ConfigurationError says what to do without any."""
     make = f"sonoservo run SCENARIO --explain --out {shlex.quote(str(folder))}"
+    if folder.is_file():
+        source = shlex.quote(str(folder))
+        raise ConfigurationError(
+            f"{folder} is no folder of results; make one: sonoservo track {source} --explain"
+        )
     if not folder.is_dir():
         raise ConfigurationError(f"there is no folder {folder}; make it: {make}")
     if not (folder / FOLDER).is_dir():

@@ -78,7 +78,9 @@ class TrackedRecording(RunResult):
     @property
     def found(self) -> str:
         """When a needle was found, how often it was tracked and where its tip was last."""
-        return f"{found_words(self.rows, self.summary['frame'])}."
+        lengths = [each for each in self.in_view if np.isfinite(each)]
+        beside = ", outside what the volumes show" if lengths and lengths[-1] == 0 else ""
+        return f"{found_words(self.rows, self.summary['frame'])}{beside}."
 
     def __str__(self) -> str:
         return table_text(mode_table(self.summary))
@@ -227,7 +229,13 @@ def track_recording(
         )
         started = time.perf_counter()
         beside = _Truth(truth, bench) if truth is not None else None
-        ended = bench.run(_samples(recording, beside, real_time and console is None), sinks)
+        failure: ConfigurationError | None = None
+        try:
+            ended = bench.run(_samples(recording, beside, real_time and console is None), sinks)
+        except ConfigurationError as error:  # what was tracked before is kept
+            if not rows:
+                raise
+            ended, failure = False, error
         summary = {
             "scenario": recording.path.name,
             "version": version("sonoservo"),
@@ -270,7 +278,7 @@ def track_recording(
                 write_log(out / "log.npz", log)
             if rows:
                 result.write_report(out, unwritten, Story(command=command))
-    return replace(result, failure=unwritten.failure)
+    return replace(result, failure=failure or unwritten.failure)
 
 
 def length_in_view(volume: Volume, estimate: NeedleEstimate) -> float:

@@ -34,6 +34,10 @@ def wrong():
 def failing():
     return lambda volume: 1 / 0
 
+def failing_later():
+    track, left = make(), [2, 1]
+    return lambda volume: track(volume) if left and left.pop() else 1 / 0
+
 def bare():
     def track(volume):
         curve = NeedleCurve(np.array([[0.0, 0.03, 0.0], [0.01, 0.04, 0.0]]))
@@ -81,7 +85,16 @@ def test_a_function_runs_and_tracks_alike_whether_given_itself_or_by_its_factory
     again = track_recording(Recording(path), tracker=mine.make())
     np.testing.assert_array_equal([each.curve.tip for each in again.estimates], tips)
     factory = "own_tracker_of_a_test:make"
-    command = ["track", str(path), "--tracker", factory, "--json", "t.json", "--out", "t"]
+    command = [
+        "track",
+        str(path),
+        "--tracker",
+        "./own_tracker_of_a_test.py:make",
+        "--json",
+        "t.json",
+        "--out",
+        "t",
+    ]
     assert run_arguments(command) == 0
     said = " ".join(capsys.readouterr().out.split())
     found = (
@@ -103,6 +116,15 @@ def test_a_function_runs_and_tracks_alike_whether_given_itself_or_by_its_factory
 def test_volumes_count_if_the_estimates_do_not_name_them(mine):
     log = run("chatelain2013_fig5", changes=SHORT, tracker="own_tracker_of_a_test:timeless").log
     assert len(log.volume_time) > 3
+
+
+def test_what_was_tracked_before_a_failure_is_kept(mine, tmp_path):
+    path = tmp_path / "a.seq.nrrd"
+    run("chatelain2013_fig5", changes=SHORT, tracker=mine.make(), record=path)
+    result = track_recording(Recording(path), tracker=mine.failing_later(), out=tmp_path / "t")
+    assert len((tmp_path / "t" / "estimates.csv").read_text().splitlines()) == 3
+    assert "failed at" in str(result.failure)
+    assert "division by zero" in str(result.failure)
 
 
 def test_what_is_no_tracker_is_refused(mine, capsys):

@@ -27,6 +27,8 @@ from sonoservo.diagrams.app.volumes.check import check_file
 from sonoservo.diagrams.app.volumes.opening import open_volumes
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.recording import Recording
+from sonoservo.systems.recording.grey_levels import as_frame
+from sonoservo.systems.recording.pose_table import read_pose_table
 from sonoservo.systems.recording.tracked_frames import TrackedFrames
 from sonoservo.systems.recording.zea import ZeaWriter
 
@@ -97,6 +99,7 @@ def write_pngs(folder, frames, *, mode="L", quaternions=False):
             if quaternions:
                 X = RigidTransform(pose)
                 values = [*X.translation(), *X.rotation().ToQuaternion().wxyz()]
+                name = "C:\\data\\" + name.upper()
             table.writerow([name, 1e3 * frame.time, *values])
     for name, frame in zip(names, frames, strict=True):
         Image.fromarray(frame.pixels.T).convert(mode).save(folder / name)
@@ -115,6 +118,25 @@ def test_a_folder_of_png_with_a_table_of_poses(tmp_path, frames, mode):
     assert_same_frames(read, frames)
     reading = Reading(calibration=" ".join(map(str, CALIBRATION.ravel())))
     assert not [f for f in check_file(folder, reading).findings if "cannot be read" in f.text]
+
+
+def test_colours_in_some_of_the_images_are_refused(tmp_path, frames):
+    """The first images may be grey, and an overlay or flow come later."""
+    folder = tmp_path / "pictures"
+    write_pngs(folder, frames, mode="RGB")
+    pixels = np.asarray(Image.open(folder / "frame_10.png")).copy()
+    pixels[:4, :4] = [255, 0, 0]
+    Image.fromarray(pixels).save(folder / "frame_10.png")
+    with pytest.raises(ConfigurationError, match="--luminance"):
+        TrackedFrames(folder, transforms={"ImageToProbe": CALIBRATION})
+    with pytest.raises(ConfigurationError, match="frame 3: it is in colour"):
+        as_frame(pixels, 1, "frame 3")
+
+
+def test_columns_that_are_not_read_are_told(tmp_path):
+    table = tmp_path / "poses.csv"
+    table.write_text("frame,stamp,x,y,z,qw,qx,qy,qz\n0.0,12,1,2,3,1,0,0,0")
+    assert read_pose_table(table, ["a.png"])[1] == ["columns of poses.csv that are not read: stamp"]
 
 
 def test_a_row_that_is_missing_costs_its_frame(tmp_path, frames):
@@ -138,6 +160,8 @@ def test_a_row_that_is_missing_costs_its_frame(tmp_path, frames):
         ("file,m00\na.png,1\na.png,1", "rows 1 and 2 are both that of a.png"),
         ("x;y;z;qw;qx;qy;qz\n1,5;2;3;1;0;0;0", "row 1: column x: '1,5' is no number, with a comma"),
         ("time,AngleToo_m00\n1,2", "names no transform"),
+        ("file,m00\nb.png,1", "row 1: column file: there is no image 'b.png'; the first one is 'a"),
+        ("x,y,z,qw,qx,qy,qz\n1,2,3,90,45,0,0", "row 1: its quaternion has a length other than 1"),
         ("frame,m00\n1,2", "row 1 is that of frame 1; there are 1"),
         ("Pos1,Pos2\n1,2", r"none of its columns \(Pos1, Pos2\) is part of a pose"),
     ],

@@ -81,10 +81,13 @@ def test_figures_that_no_run_has_are_left_out_and_long_names_fold(keep, tmp_path
 def test_folders_that_are_none_are_named(keep, tmp_path):
     one = keep("a")
     (tmp_path / "empty").mkdir()
+    (tmp_path / "tracked").mkdir()
+    (tmp_path / "tracked" / "estimates.csv").touch()
     (tmp_path / "circle").symlink_to("circle")
     for other, message in (
         (tmp_path / "nowhere", "there is no such folder"),
         (tmp_path / "empty", "it has no scenario.yaml"),
+        (tmp_path / "tracked", "is a folder of track, not of run"),
         (tmp_path / "circle", "there is no such folder"),
     ):
         result = sonoservo_here("compare", str(one), str(other), "--out", str(tmp_path / "out"))

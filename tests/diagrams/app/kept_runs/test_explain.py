@@ -98,6 +98,7 @@ def test_the_command_lists_and_draws(kept, tmp_path):
     ("name", "arguments", "message"),
     [
         ("nowhere", [], "there is no folder .*nowhere; make it: sonoservo run .* --explain"),
+        ("a.nrrd", [], "is no folder of results; make one: sonoservo track .*a.nrrd --explain"),
         ("plain", [], "repeat the run: sonoservo run .*plain/scenario.yaml --explain$"),
         ("quiet", [], "nothing happened that was to be explained"),
         ("out", ["--time", "nan"], r"time: nan s is outside; .* from \d+\.\d+ to \d+\.\d+ s"),
@@ -105,6 +106,7 @@ def test_the_command_lists_and_draws(kept, tmp_path):
 )
 def test_a_mistake_is_one_line_that_says_what_to_do(kept, tmp_path, name, arguments, message):
     (tmp_path / "plain").mkdir()
+    (tmp_path / "a.nrrd").touch()
     (tmp_path / "plain" / "scenario.yaml").touch()
     (tmp_path / "quiet" / FOLDER).mkdir(parents=True)
     folder = kept[0] if name == "out" else tmp_path / name
