@@ -59,8 +59,12 @@ _BLOCK, _LEAST_BLOCKS = 8e-3, 5
 """Edge length in m of the blocks whose skewness is measured, and number of them that tells it."""
 
 _CLIPPED = 0.05
-"""Share of voxels at 0 or at the maximum from which a block is not judged: up to it, clipping takes
-the skewness of logarithms from -1.14 to -0.46, and that of amplitudes to 0.3 at the least."""
+"""Share of voxels at 0 or at the maximum from which a block is not judged: up to it, clipping at 0
+takes the skewness of logarithms from -1.14 to -0.46, and that of amplitudes to 0.70."""
+
+_SKEWED = 0.5
+"""Skewness above which numbers are amplitudes. That of a log-compressed volume of our scanner whose
+tissue is hardly brighter than black is up to 0.38."""
 
 _SATURATED = (
     0.05  # share of what was seen that is as bright as can be, above which gain hides echoes
@@ -471,7 +475,7 @@ def _check_compression(volume: Volume) -> list[Finding]:
             f"less than {100 * _CLIPPED:g} % cut off at black or white; {_LEAST_BLOCKS} are needed"
         )
         return [_fine(Check.CONTENT, text)]
-    skewness, most = float(np.median(skew(judged, axis=1))), _RAYLEIGH / 2
+    skewness, most = float(np.median(skew(judged, axis=1))), _SKEWED
     if skewness > (_RAYLEIGH - _LOGARITHM) / 2:
         return [_Fault.POWERS(skewness=skewness)]
     return [_Fault.LINEAR(skewness=skewness, most=most)] if skewness > most else []
