@@ -403,7 +403,7 @@ def check_spacing(spacing: ArrayLike, shape: ArrayLike) -> list[Finding]:
     shown = " x ".join(f"{each:.4g}" for each in steps)
     if np.allclose(steps, 1.0, atol=1e-6):
         return [_Fault.UNIT_SPACING(shown=shown)]
-    edge = float((steps * shape).max())
+    edge = float((steps * np.asarray(shape)).max())
     if edge < _SMALLEST_MM:
         unit = next((unit for unit, mm in _UNITS.items() if mm * edge >= _SMALLEST_MM), "m")
         return [_Fault.SMALL(shown=shown, edge=edge, unit=unit)]
