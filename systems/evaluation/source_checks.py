@@ -13,6 +13,7 @@ from scipy.stats import t as student
 
 from sonoservo.systems.calibration.pose_errors import PoseErrors, told_errors
 from sonoservo.systems.files.volume_file import MAX_STEP
+from sonoservo.systems.recording.valid_frames import MAX_TIME, MIN_STEP, rising
 from sonoservo.systems.sampling.interpolation import sample_grid
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.volume import ReconstructedVolume, Volume
@@ -20,6 +21,9 @@ from sonoservo.systems.tracking.speckle_width import speckle_spread
 from sonoservo.systems.ultrasound.frame_reconstruction import PosedFrame, reconstruct
 
 _GAP = 1.5  # time between two volumes, in periods, from which one of them is missing
+
+_FASTEST_VOLUMES, _FASTEST_FRAMES = 200.0, 2000.0
+"""Highest rates in Hz of volumes, and of frames and messages: robots send 1000 poses a second."""
 
 _JITTER = 0.25
 """Standard deviation of the time between two volumes, in periods, above which stamps are those of
@@ -33,6 +37,9 @@ _TOOLS = ("Probe", "Image")  # beginnings of the names of transforms from what a
 _INVERTED, _WIDE_MM = 4.0, 50.0
 """Ratio of the motion of a transform to that of its inverse above which that is the probe's: the
 world turns widely about a probe that turns. And the least motion in mm that tells."""
+
+_UNITS = {"cm": 10.0, "m": 1e3}  # units that may have been meant, in mm
+_SMALLEST_MM = 15.0  # longest edge of a box below which it is too small for a needle in tissue
 
 _COARSEST_MM = 1.0  # largest pixels; inverted calibrations have larger ones
 
@@ -51,7 +58,13 @@ powers is 2. Noise and averaging bring all nearer to 0."""
 _BLOCK, _LEAST_BLOCKS = 8e-3, 5
 """Edge length in m of the blocks whose skewness is measured, and number of them that tells it."""
 
-_CLIPPED = 1e-3  # share of black voxels in a block from which clipping has changed its skewness
+_CLIPPED = 0.05
+"""Share of voxels at 0 or at the maximum from which a block is not judged: up to it, clipping at 0
+takes the skewness of logarithms from -1.14 to -0.46, and that of amplitudes to 0.70."""
+
+_SKEWED = 0.5
+"""Skewness above which numbers are amplitudes. That of a log-compressed volume of our scanner whose
+tissue is hardly brighter than black is up to 0.38."""
 
 _SATURATED = (
     0.05  # share of what was seen that is as bright as can be, above which gain hides echoes
@@ -123,14 +136,24 @@ class _Fault(Enum):
         "two {what} are {period:.3g} s apart",
         "are time stamps in ms? They must be in s; else give the rate (--volume-rate)",
     )
+    FAST = (Check.RATE, Grade.DOUBTFUL,
+            "{rate}, faster than any scanner",
+            "are times in s declared as ms? Else give the rate (--volume-rate)")  # fmt: skip
+    UNIT_STEP = (Check.RATE, Grade.DOUBTFUL,
+                 "exactly {rate}, a default of many writers",
+                 "is it true? Else give the rate (--volume-rate)")  # fmt: skip
     JITTER = (Check.RATE, Grade.DOUBTFUL, "the time between two {what} varies by {share:.0f} %",
               "let time stamps be those of acquisition, not of arrival or of writing")  # fmt: skip
     GAPS = (Check.RATE, Grade.DOUBTFUL,
             "gaps: {gaps}, the longest {longest:.3g} s; missing {what}: about {missing}",
             "acquire at a rate that disk and network keep up with")  # fmt: skip
+    NO_STAMP = (Check.CLOCK, Grade.DOUBTFUL,
+                "{what} without a time stamp in range: {missing}; they are left out",
+                "look at the clock of the program that acquires them")  # fmt: skip
     CLOCK = (Check.CLOCK, Grade.DOUBTFUL,
-             "time stamps missing, repeated or running back: {odd}; such {what} are left out",
-             "look at the clock of the program that acquires them")  # fmt: skip
+             "time stands still or runs back {back} x, first at number {number}, and by up to "
+             "{most:.3g} s; {what} left out for it: {left}",
+             "look at the clock of the program that acquires them: was it set?")  # fmt: skip
     NO_MATRIX = (Check.MATRIX, Grade.WRONG, "{name}: no matrix is valid", _TRACKER)
     EMPTY_AXIS = (Check.MATRIX, Grade.WRONG, "{name}: a matrix has an empty axis", _TRACKER)
     SKEW = (Check.MATRIX, Grade.WRONG,
@@ -165,6 +188,10 @@ class _Fault(Enum):
     UNIT_SPACING = (Check.SPACING, Grade.DOUBTFUL,
                     "{shown} mm, which programs write that do not know it",
                     "look up the size of a voxel, and write it into the header")  # fmt: skip
+    SMALL = (Check.SPACING, Grade.DOUBTFUL,
+             "{shown} mm: a box whose longest edge is {edge:.3g} mm is too small for a needle in "
+             "tissue",
+             "is the spacing in {unit}?")  # fmt: skip
     BLANK = (Check.CONTENT, Grade.WRONG, "the volume shows nothing: all of its numbers are one",
              "look at the scanner's gain and whether it was frozen")  # fmt: skip
     UNKNOWN = (Check.CONTENT, Grade.WRONG,
@@ -224,7 +251,7 @@ class _Fault(Enum):
 
     def __call__(self, **figures: Any) -> Finding:
         check, grade, text, advice = self.value
-        return Finding(check, grade, text.format(**figures), advice)
+        return Finding(check, grade, text.format(**figures), advice.format(**figures))
 
 
 def _fine(check: Check, text: str) -> Finding:
@@ -239,35 +266,61 @@ def gravest(findings: Iterable[Finding]) -> Finding | None:
 
 def check_times(times: ArrayLike, what: str = "volumes") -> list[Finding]:
     """Check the rate of volumes or frames, how steady it is, and what is missing."""
-    known = np.asarray(times, float)
-    odd = int((~np.isfinite(known)).sum())
-    known = known[np.isfinite(known)]
-    steps = np.diff(known)
-    odd += int((steps <= 0).sum())
-    rising = steps[steps > 0]
-    if len(known) == 1:
-        return [_fine(Check.RATE, "a single one, so there is no rate")]
-    if not len(rising):
-        return [_Fault.NO_TIME(count=len(known), what=what)] if len(known) else []
-    period = float(np.median(rising))
-    jitter = float(np.sqrt(np.mean(np.clip(rising / period - 1, -_GAP, _GAP - 1) ** 2)))
-    rate = f"{1 / period:.3g} {what} a second over {known.max() - known.min():.3g} s"
-    findings = [_fine(Check.RATE, f"{rate}, jitter {1e3 * jitter * period:.1f} ms")]
+    every = np.asarray(times, float)
+    there = np.flatnonzero(np.abs(every) <= MAX_TIME)
+    if len(there) <= 1:
+        return [_fine(Check.RATE, "a single one, so there is no rate")] if len(there) else []
+    kept = np.flatnonzero(rising(every))
+    if len(kept) < 2:
+        return [_Fault.NO_TIME(count=len(there), what=what)]
+    # Between two that are kept, others may have been left out: they are no gap.
+    steps, passed = np.diff(every[kept]), np.diff(kept)
+    near = steps[passed == passed.min()] / passed.min()
+    period = float(np.median(near))
+    jitter = float(np.sqrt(np.mean(np.clip(near / period - 1, -_GAP, _GAP - 1) ** 2)))
+    rate = _rate(1 / period, what)
+    text = f"{rate} over {steps.sum():.3g} s, jitter {1e3 * jitter * period:.1f} ms"
+    findings = [_fine(Check.RATE, text)]
     if period > MAX_STEP:
         findings.append(_Fault.SLOW(what=what, period=period))
+    if 1 / period > (_FASTEST_VOLUMES if what == "volumes" else _FASTEST_FRAMES):
+        findings.append(_Fault.FAST(rate=rate))
     if jitter > _JITTER:
         findings.append(_Fault.JITTER(what=what, share=100 * jitter))
-    # A time beside which time runs back, or is missing, is wrong, and no gap.
-    every = np.diff(np.asarray(times, float))
-    beside = np.minimum(np.append(every[1:], period), np.append(period, every[:-1]))
-    gaps = every[(every > _GAP * period) & (beside > 0)]
-    if len(gaps):
-        missing = int(np.round(gaps / period - 1).sum())
-        found = _Fault.GAPS(gaps=len(gaps), longest=gaps.max(), missing=missing, what=what)
+    missing = steps / period - passed
+    gaps = missing > _GAP - 1
+    if gaps.any():
+        longest, about = steps[gaps].max(), int(np.round(missing[gaps]).sum())
+        found = _Fault.GAPS(gaps=int(gaps.sum()), longest=longest, missing=about, what=what)
         findings.append(found)
-    if odd:
-        findings.append(_Fault.CLOCK(odd=odd, what=what))
+    if len(there) < len(every):
+        findings.append(_Fault.NO_STAMP(missing=len(every) - len(there), what=what))
+    if len(kept) < len(there):
+        earlier, later = every[there][:-1], every[there][1:]
+        back = there[1:][earlier > later - MIN_STEP]
+        found = _Fault.CLOCK(
+            back=len(back),
+            number=back[0],
+            most=max(0.0, (earlier - later).max()),
+            left=len(there) - len(kept),
+            what=what,
+        )
+        findings.append(found)
     return findings
+
+
+def check_stated_step(times: ArrayLike, what: str = "volumes") -> list[Finding]:
+    """Check that a header's (n,) times in s do not advance by what programs write by default."""
+    steps = np.diff(np.asarray(times, float))
+    default = len(steps) and np.allclose(steps, 1.0, atol=1e-6)
+    return [_Fault.UNIT_STEP(rate=_rate(1.0, what))] if default else []
+
+
+def _rate(rate: float, what: str) -> str:
+    """Return a rate in words, of things in the plural that may be followed by their kind."""
+    things, *of = what.split(" ", 1)
+    number = f"{float(f'{rate:.3g}'):g}"
+    return " ".join([number, things.removesuffix("s" * (number == "1")), *of, "a second"])
 
 
 def check_matrices(name: str, matrices: ArrayLike) -> list[Finding]:
@@ -344,12 +397,16 @@ def check_motion(name: str, matrices: ArrayLike, times: ArrayLike) -> list[Findi
     return findings
 
 
-def check_spacing(spacing: ArrayLike) -> list[Finding]:
-    """Check the distances between voxels, (3,) in mm, for values that programs write by default."""
+def check_spacing(spacing: ArrayLike, shape: ArrayLike) -> list[Finding]:
+    """Check the distances between voxels, (3,) in mm, for defaults and for other units."""
     steps = np.asarray(spacing, float)
     shown = " x ".join(f"{each:.4g}" for each in steps)
     if np.allclose(steps, 1.0, atol=1e-6):
         return [_Fault.UNIT_SPACING(shown=shown)]
+    edge = float((steps * np.asarray(shape)).max())
+    if edge < _SMALLEST_MM:
+        unit = next((unit for unit, mm in _UNITS.items() if mm * edge >= _SMALLEST_MM), "m")
+        return [_Fault.SMALL(shown=shown, edge=edge, unit=unit)]
     return [_fine(Check.SPACING, f"{shown} mm")]
 
 
@@ -359,9 +416,11 @@ def check_volume(volume: Volume) -> list[Finding]:
         return [_Fault.UNKNOWN()]
     if float(volume.intensities.max()) - float(volume.intensities.min()) <= 0:
         return [_Fault.BLANK()]
+    compression = _check_compression(volume)
     return [
         _check_empty(volume),
-        *(_check_compression(volume) or _check_saturation(volume)),
+        *compression,
+        *([] if gravest(compression) else _check_saturation(volume)),
         *_check_direction(volume),
         _check_speckle(volume),
     ]
@@ -400,7 +459,7 @@ def _check_direction(volume: Volume) -> list[Finding]:
 
 
 def _check_compression(volume: Volume) -> list[Finding]:
-    """Check that speckle is skewed as that of log-compressed echoes, where nothing is clipped."""
+    """Check that speckle is skewed as that of log-compressed echoes, where little is clipped."""
     shape = np.array(volume.intensities.shape)
     size = np.clip(np.round(_BLOCK / volume.spacing).astype(int), 1, shape)
     number = shape // size
@@ -408,10 +467,15 @@ def _check_compression(volume: Volume) -> list[Finding]:
     split = whole.reshape(np.column_stack([number, size]).ravel()).transpose(0, 2, 4, 1, 3, 5)
     blocks = split.reshape(number.prod(), size.prod())
     clipped = ((blocks == 0) | (blocks >= volume.intensities.max())).mean(axis=1)
-    blocks = blocks[(clipped < _CLIPPED) & (np.ptp(blocks, axis=1) > 0)]
-    if len(blocks) < _LEAST_BLOCKS:
-        return []
-    skewness, most = float(np.median(skew(blocks, axis=1))), _RAYLEIGH / 2
+    judged = blocks[(clipped < _CLIPPED) & (np.ptp(blocks, axis=1) > 0)]
+    if len(judged) < _LEAST_BLOCKS:
+        text = (
+            "whether its numbers are log-compressed cannot be judged: "
+            f"{len(judged)} of {len(blocks)} blocks of {1e3 * _BLOCK:g} mm show something with "
+            f"less than {100 * _CLIPPED:g} % cut off at black or white; {_LEAST_BLOCKS} are needed"
+        )
+        return [_fine(Check.CONTENT, text)]
+    skewness, most = float(np.median(skew(judged, axis=1))), _SKEWED
     if skewness > (_RAYLEIGH - _LOGARITHM) / 2:
         return [_Fault.POWERS(skewness=skewness)]
     return [_Fault.LINEAR(skewness=skewness, most=most)] if skewness > most else []

@@ -33,7 +33,8 @@ class FileItems:
     """Volumes or frames of a file that have a pose and a time in order, and their grey levels.
 
     `path` is the file's and `times` are (n,), in s; `numbers` are those of the items in the file.
-    `skipped` counts those left out, and each of the `notes` is a sentence on how the file was read.
+    `left_out` are the numbers of the others by reason, and `skipped` counts them; `stated_times`
+    are the times of all, in s. Each of the `notes` is a sentence on how the file was read.
     """
 
     what = "volume"
@@ -72,14 +73,20 @@ class FileItems:
         self._transforms = [*own, *self._constants] if own else []
         return find_chain(self.path, self._transforms, poses)
 
-    def _stated_times(self, rate: float | None) -> NDArray[np.float64]:
-        """Return the times of all items by their rate in Hz, by their stamps or by the file."""
+    def _stated_times(self, rate: float | None, timed: bool = True) -> NDArray[np.float64]:
+        """Return the times of all items by their rate in Hz, by their stamps or by the file.
+
+        If they are not ``timed``, these are their numbers.
+        """
         count = self.file.count
+        if not timed:
+            return np.arange(count, dtype=float)
         if rate is not None:
             require_within("volume rate", rate, *_RATES)
             if "Timestamp" in self._fields or self.file.times is not None:
                 self.notes.append(
-                    f"the times in the file are set aside for {rate:g} {self.what}s a second"
+                    f"the times in the file are set aside for {rate:g} "
+                    f"{self.what}{'s' * (rate != 1)} a second"
                 )
             return np.arange(count) / rate
         if "Timestamp" in self._fields:
@@ -101,6 +108,7 @@ class FileItems:
             self.path, self.file.count, self._fields, chain, self._constants, times, self.what
         )
         self.numbers, self.times = items.numbers.tolist(), items.times
+        self.left_out, self.stated_times = items.left_out, times
         self.skipped = self.file.count - len(self.numbers)
         self.notes += [*([f"poses: {chain}"] if chain else []), *items.note(self.what)]
         return items.matrices

@@ -48,6 +48,8 @@ class Recording(FileItems):
         the file, or else 60.
     volume_rate
         Volumes per second, in Hz, for a sequence without times.
+    timed
+        Whether times matter; if not, those of the volumes are their numbers.
     poses
         Transforms that give the pose, or ends of their chain (`find_chain`); "none" ignores poses.
     transforms
@@ -83,6 +85,7 @@ class Recording(FileItems):
         window: tuple[float, float] | None = None,
         dynamic_range_db: float | None = None,
         volume_rate: float | None = None,
+        timed: bool = True,
         poses: str | None = None,
         transforms: Mapping[str, NDArray[np.float64]] | None = None,
         orientation: str = "",
@@ -96,7 +99,7 @@ class Recording(FileItems):
             chain = None
             if self._acquisition is None:
                 chain = self._find_chain(poses, transforms)
-                times = self._stated_times(volume_rate)
+                times = self._stated_times(volume_rate, timed)
             else:
                 times = np.array(self._acquisition.times[: file.count])
             self.posed = bool(self._acquisition) or chain is not None
@@ -169,6 +172,12 @@ class Recording(FileItems):
     def _pixels(self, number: int) -> NDArray[Any]:
         """Return the file's numbers of a volume with the index [x, y, z] in P."""
         return self._grid.arrange(super()._pixels(number))
+
+    @property
+    def states_range(self) -> bool:
+        """Whether the file states the dB from black to white."""
+        exact = self._acquisition
+        return SCALE in self.file.fields or bool(exact and exact.decibels_per_level)
 
     def _read_acquisition(self, depth: str) -> Acquisition | None:
         path = side_path(self.path, ACQUISITION)

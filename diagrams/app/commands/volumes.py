@@ -306,8 +306,8 @@ def locate_command(
             beam_width=curve.beam_width, echo_offset=curve.echo_offset
         )
     if not reading.reconstruct:  # times and poses do not matter for a single volume
-        reading.volume_rate, reading.poses = 1.0, "none"
-    opened = open_volumes(volume, reading)
+        reading.poses = "none"
+    opened = open_volumes(volume, reading, timed=False)
     _say_about(opened)
     found = locate_in_recording(opened, number, order=curve.order, parameters=parameters)
     for name, value in found.items():

@@ -14,8 +14,10 @@ from pydrake.math import RotationMatrix
 
 from sonoservo.diagrams.app.options import Reading
 from sonoservo.diagrams.app.volumes.opening import (
+    EMPTY,
     Opened,
     ReconstructedRecording,
+    live_maker,
     open_volumes,
     with_frames,
 )
@@ -35,6 +37,7 @@ from sonoservo.systems.evaluation.source_checks import (
     check_pixels,
     check_seen,
     check_spacing,
+    check_stated_step,
     check_times,
     check_volume,
     gravest,
@@ -50,16 +53,17 @@ from sonoservo.systems.live.connection.items import ImageItem, Item, PoseItem
 from sonoservo.systems.live.connection.link import Link, shown
 from sonoservo.systems.live.image_matcher import ImageMatcher, PosedImage
 from sonoservo.systems.live.live_source import LiveSource
-from sonoservo.systems.live.volume_maker import VolumeMaker
 from sonoservo.systems.recording.file_items import TimesMissingError
 from sonoservo.systems.recording.plus_configuration import read_plus_configuration
 from sonoservo.systems.recording.recording import Recording
+from sonoservo.systems.recording.valid_frames import DISORDERED, WITHOUT_TIME
 from sonoservo.systems.signals.volume import Volume
 
 # Most volumes, and sweeps of frames, from which errors of the poses are estimated.
 _CALIBRATED, _SWEEPS = 30, 4
 # Most images that are kept of a stream, and most devices that are told apart.
 _KEPT, _DEVICES = 24, 32
+_CAUSES = {WITHOUT_TIME: "the clock", DISORDERED: "the clock", EMPTY: "the program that wrote them"}
 _ERROR_MM = 2.0  # Error of a calibration in mm that shows in a needle's place
 _LETTERS = ("LR", "PA", "SI")
 _SECONDS = 5.0
@@ -123,14 +127,14 @@ def check_file(path: Path, reading: Reading | None = None) -> CheckedSource:
             opened = open_volumes(path, with_frames(reading, reconstruct=True))
         except TimesMissingError as missing:
             # What needs neither times nor poses is checked all the same.
-            opened = open_volumes(path, replace(reading, volume_rate=1.0, poses="none"))
+            opened = open_volumes(path, replace(reading, poses="none"), timed=False)
             timeless = str(missing)
         for note in opened.notes:
             checked.note(Check.READING, note)
         if isinstance(opened, Recording):
-            _check_recording(checked, opened, reading.depth)
+            _check_recording(checked, opened, reading)
         else:
-            _check_frames(checked, opened)
+            _check_frames(checked, opened, reading)
         if timeless:
             assumed = (Check.RATE, Check.CHAIN)
             checked.findings = [each for each in checked.findings if each.check not in assumed]
@@ -176,9 +180,9 @@ def check_configuration(path: Path) -> CheckedSource:
 def brief_finding(opened: Opened) -> str:
     """Return the gravest of the findings that a header alone tells, on one line; may be empty."""
     file = opened.file
-    findings = _check_header(file, opened.times, "volumes")
+    findings = _check_header(opened)
     if isinstance(opened, Recording):
-        findings += check_spacing(np.linalg.norm(file.directions, axis=0))
+        findings += check_spacing(np.linalg.norm(file.directions, axis=0), file.shape)
     else:
         findings.append(check_pixels("the frames", opened.pixel_sizes))
     return _on_one_line(gravest(findings), opened.path)
@@ -196,20 +200,14 @@ def _on_one_line(worst: Finding | None, source: object) -> str:
     return f"{worst}{end} `sonoservo check {source}` tells more."
 
 
-def _check_header(file: VolumeFile, times: Any, what: str) -> list[Finding]:
+def _check_header(opened: Opened) -> list[Finding]:
     """Check the times and the transforms of all volumes or frames, whether they are used or not."""
+    file, times = opened.file, opened.stated_times
+    what = "volumes" if isinstance(opened, Recording) else "frames"
     fields = file.frame_fields()
-    stamps = fields.get("Timestamp")
-    if stamps is not None:
-        times = np.full(file.count, np.nan)
-        for number, text in stamps.items():
-            try:
-                times[number] = float(text)
-            except (ValueError, IndexError):
-                continue
     findings = check_times(times, what)
-    if len(times) != file.count:
-        times = np.arange(file.count, dtype=float)
+    if times is file.times:  # neither stamped one by one nor given by --volume-rate
+        findings += check_stated_step(times, what)
     for name in sorted(fields):
         if name.endswith("Transform"):
             matrices = rows_of_matrices(fields[name], file.count)
@@ -223,16 +221,33 @@ def _check_header(file: VolumeFile, times: Any, what: str) -> list[Finding]:
     return findings
 
 
-def _check_recording(checked: CheckedSource, recording: Recording, depth: str) -> None:
+def _check_left_out(opened: Opened, noun: str) -> Iterator[Finding]:
+    """Yield why volumes or frames were left out."""
+    for reason, numbers in opened.left_out.items():
+        text = f"{counted(len(numbers), noun)} {reason}"
+        advice = f"look at {_CAUSES.get(reason, 'the tracker')}"
+        yield Finding(Check.LEFT_OUT, Grade.DOUBTFUL, text, advice)
+
+
+def _check_range(volume: Volume, given: float | None, stated: bool) -> Finding:
+    """Say how many dB there are from black to white, and whence that is known."""
+    text = f"black to white is {255 * volume.decibels_per_level:.3g} dB"
+    if given is not None:
+        text += ", as --dynamic-range-db says"
+    elif stated:
+        text += ", as stated with the volumes"
+    else:
+        text += " by assumption, as nothing states it (--dynamic-range-db does)"
+    return Finding(Check.CONTENT, Grade.FINE, text)
+
+
+def _check_recording(checked: CheckedSource, recording: Recording, reading: Reading) -> None:
     file = recording.file
     size = " x ".join(map(str, file.shape))
     steps = np.linalg.norm(file.directions, axis=0)
     box = " x ".join(f"{each:.0f}" for each in steps * (np.array(file.shape) - 1))
     checked.note(Check.KIND, f"{counted(file.count, 'volume')} of {size} voxels, {box} mm")
-    if recording.skipped:
-        text = f"{counted(recording.skipped, 'volume')} marked as invalid, or without pose or time"
-        advice = "these are left out; look at the tracker and the clock"
-        checked.note(Check.LEFT_OUT, text, Grade.DOUBTFUL, advice)
+    checked.findings += _check_left_out(recording, "volume")
     axes = ", ".join(_letter(axis) for axis in file.directions.T)
     hand = (
         ""
@@ -240,10 +255,10 @@ def _check_recording(checked: CheckedSource, recording: Recording, depth: str) -
         else ", left-handed: the image is mirrored if they are not meant to be"
     )
     checked.note(
-        Check.GRID, f"axes run to {axes} (LPS){hand}; the sound is taken to run to {depth}"
+        Check.GRID, f"axes run to {axes} (LPS){hand}; the sound is taken to run to {reading.depth}"
     )
-    checked.findings += check_spacing(steps)
-    checked.findings += _check_header(file, recording.times, "volumes")
+    checked.findings += check_spacing(steps, file.shape)
+    checked.findings += _check_header(recording)
     posed = "the volumes have poses" if recording.posed else "no poses: the probe counts as at rest"
     checked.note(Check.CHAIN, posed)
     calibrates = recording.posed and len(recording) > 1
@@ -256,6 +271,8 @@ def _check_recording(checked: CheckedSource, recording: Recording, depth: str) -
         shares[number] = float(volume.seen.mean())
         if number == middle:
             checked.show(volume, (recording.X_WL(middle).inverse() @ volume.X_WP).rotation())
+            given, stated = reading.dynamic_range_db, recording.states_range
+            checked.findings.append(_check_range(volume, given, stated))
         if number in calibrated:
             calibration = calibration.seen(volume)
     checked.findings += [*check_numbers(file.read(0)), *check_seen(shares)]
@@ -264,19 +281,19 @@ def _check_recording(checked: CheckedSource, recording: Recording, depth: str) -
         checked.findings += check_errors(calibration.errors)
 
 
-def _check_frames(checked: CheckedSource, volumes: ReconstructedRecording) -> None:
+def _check_frames(
+    checked: CheckedSource, volumes: ReconstructedRecording, reading: Reading
+) -> None:
     file = volumes.file
     pixels = f"{file.shape[0]} x {file.shape[1]} pixels"
     box = " x ".join(f"{each:.0f}" for each in volumes.pixel_sizes * file.shape[:2])
     checked.note(Check.KIND, f"{file.count} 2D frames of {pixels}, {box} mm")
-    if volumes.skipped:
-        text = f"{counted(volumes.skipped, 'frame')} marked as invalid, or without pose or time"
-        advice = "these are left out; keep the probe in the tracker's sight"
-        checked.note(Check.LEFT_OUT, text, Grade.DOUBTFUL, advice)
-    checked.findings += _check_header(file, volumes.frame_times, "frames")
+    checked.findings += _check_left_out(volumes, "frame")
+    checked.findings += _check_header(volumes)
     volume = volumes[len(volumes) // 2]
     checked.note(Check.GRID, f"sweeps, each of which makes a volume: {len(volumes)}")
     checked.show(volume, volume.X_WP.rotation())
+    checked.findings.append(_check_range(volume, reading.dynamic_range_db, stated=False))
     sweeps = [volumes.sweep(number) for number in range(min(len(volumes), _SWEEPS))]
     checked.findings += [*check_across(sweeps), *check_delay(sweep_delay(sweeps))]
     checked.findings += check_contents(_first_ones(file), "frames")
@@ -387,7 +404,7 @@ def check_stream(
         mm = np.array(matrices)
         mm[:, :3, 3] *= 1e3
         checked.findings += check_motion(shown(name), mm, np.array(times))
-    _check_images(checked, record, VolumeMaker(depth=reading.depth, window=reading.window))
+    _check_images(checked, record, reading)
     return checked
 
 
@@ -410,7 +427,7 @@ def _check_clocks(checked: CheckedSource, record: "_StreamRecord", poses: str | 
         checked.note(Check.CHAIN, text, Grade.DOUBTFUL, "name one with --poses, or give none")
 
 
-def _check_images(checked: CheckedSource, record: _StreamRecord, maker: VolumeMaker) -> None:
+def _check_images(checked: CheckedSource, record: _StreamRecord, reading: Reading) -> None:
     if not record.images:
         if record.frames:
             text = f"{record.frames} 2D frames and no volume"
@@ -419,6 +436,7 @@ def _check_images(checked: CheckedSource, record: _StreamRecord, maker: VolumeMa
             text, advice = "no image", "let the scanner's program send IMAGE messages"
         checked.note(Check.CONTENT, text, Grade.DOUBTFUL, advice)
         return
+    maker = live_maker(with_frames(reading))
     volumes, calibration = [], PoseCalibration()
     for posed in record.images:
         volume = maker(posed)
@@ -436,8 +454,11 @@ def _check_images(checked: CheckedSource, record: _StreamRecord, maker: VolumeMa
     size = " x ".join(map(str, image.voxels.shape))
     axes = ", ".join(_letter(axis) for axis in image.X_LI[:3, :3].T)
     checked.note(Check.GRID, f"{size} voxels whose axes run to {axes} (LPS)")
-    checked.findings += check_spacing(1e3 * np.linalg.norm(image.X_LI[:3, :3], axis=0))
+    steps = 1e3 * np.linalg.norm(image.X_LI[:3, :3], axis=0)
+    checked.findings += check_spacing(steps, image.voxels.shape[:3])
     checked.show(volume, (maker.X_WL(posed).inverse() @ volume.X_WP).rotation())
+    stated = bool(posed.acquisition and posed.acquisition.decibels_per_level)
+    checked.findings.append(_check_range(volume, reading.dynamic_range_db, stated))
     if record.matcher.posed:
         for _, each in volumes:
             calibration = calibration.seen(each)

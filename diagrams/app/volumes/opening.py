@@ -32,6 +32,9 @@ from sonoservo.systems.ultrasound.frame_reconstruction import (
     reconstruct,
 )
 
+EMPTY = "that hold nothing"
+"""Reason for which frames are left out as they are read."""
+
 
 class ReconstructedRecording:
     """Volumes of a file of 2D frames, one for each sweep, with the interface of `Recording`.
@@ -76,9 +79,9 @@ class ReconstructedRecording:
         self._read = lru_cache(maxsize=1)(self._reconstruct)
 
     @property
-    def frame_times(self) -> NDArray[np.float64]:
-        """(n,) times of the frames, in s."""
-        return self._frames.times
+    def stated_times(self) -> NDArray[np.float64]:
+        """(n,) times of all frames of the file, in s."""
+        return self._frames.stated_times
 
     @property
     def file(self) -> VolumeFile:
@@ -105,9 +108,15 @@ class ReconstructedRecording:
         return np.asarray(1e3 * np.linalg.norm(self._frames.X_WI[0][:3, :2], axis=0))
 
     @property
+    def left_out(self) -> dict[str, list[int]]:
+        """Numbers of the frames left out by reason, with those so far that hold nothing."""
+        void = {EMPTY: sorted(self._frames.void)} if self._frames.void else {}
+        return {**self._frames.left_out, **void}
+
+    @property
     def skipped(self) -> int:
         """Number of frames left out, with those so far that hold nothing."""
-        return self._frames.skipped + len(self._frames.void)
+        return sum(map(len, self.left_out.values()))
 
     def _split(self, count: int | None) -> list[list[int]]:
         """Return the numbers of each sweep's frames."""
@@ -156,8 +165,11 @@ def with_frames(reading: Reading, **frames: Any) -> ReadingFrames:
     return ReadingFrames(**{**vars(reading), **frames})
 
 
-def open_volumes(path: Path, reading: Reading | None = None) -> Opened:
-    """Open a file of volumes, or of frames to be reconstructed; errors name the file and fault."""
+def open_volumes(path: Path, reading: Reading | None = None, *, timed: bool = True) -> Opened:
+    """Open a file of volumes, or of frames to be reconstructed; errors name the file and fault.
+
+    The times of volumes do not matter unless they are ``timed``.
+    """
     options = with_frames(reading or Reading())
     known = PlusConfiguration()
     if options.plus_config is not None:
@@ -181,7 +193,9 @@ def open_volumes(path: Path, reading: Reading | None = None) -> Opened:
             **common,
         )
     else:
-        opened = Recording(path, depth=options.depth, volume_rate=options.volume_rate, **common)
+        opened = Recording(
+            path, depth=options.depth, volume_rate=options.volume_rate, timed=timed, **common
+        )
     opened.notes[:0] = known.notes()
     return opened
 

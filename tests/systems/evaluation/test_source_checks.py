@@ -20,6 +20,7 @@ from sonoservo.systems.evaluation.source_checks import (
     check_pixels,
     check_seen,
     check_spacing,
+    check_stated_step,
     check_times,
     check_volume,
     gravest,
@@ -65,8 +66,8 @@ def test_what_is_right_needs_nothing_and_is_told():
     assert worst(pixels) is None
     assert "0.2 x 0.15 mm" in pixels[0].text
     assert worst(check_motion("P", moving(), 0.05 * np.arange(50))) is None
-    assert worst(check_spacing([1, 0.5, 1])) is None
-    assert worst(check_spacing([1, 1, 1]))[0] is Check.SPACING
+    assert worst(check_spacing([1, 0.5, 1], [60, 90, 40])) is None
+    assert worst(check_spacing([1, 1, 1], [60, 90, 40]))[0] is Check.SPACING
 
 
 @pytest.mark.parametrize(
@@ -78,13 +79,48 @@ def test_what_is_right_needs_nothing_and_is_told():
             "gaps: 2, the longest 0.3 s; missing volumes: about 3",
         ),
         (0.1 * np.arange(30) + 0.05 * (np.arange(30) % 2), Check.RATE, "varies by 46 %"),
-        (np.r_[0.1 * np.arange(9), 0.8, 0.9], Check.CLOCK, "running back: 1; such volumes"),
+        (
+            np.r_[0.1 * np.arange(9), 0.8, 0.9],
+            Check.CLOCK,
+            "runs back 1 x, first at number 9, and by up to 0 s; volumes left out for it: 1",
+        ),
         (np.zeros(5), Check.RATE, "no time stamp of 5 volumes advances"),
+        (
+            0.6 * np.arange(12) - 3 * (np.arange(12) > 5),
+            Check.CLOCK,
+            "1 x, first at number 6, and by up to 2.4 s; volumes left out for it: 5",
+        ),
+        (3e-4 * np.arange(4), Check.RATE, "3330 volumes a second, faster than any scanner"),
     ],
 )
 def test_times_that_need_something(times, check, text):
     findings = check_times(times)
     assert any(f.check is check and text in f.text and f.advice for f in findings), findings
+
+
+def test_gaps_and_jitter_are_not_of_volumes_left_out_for_their_time():
+    findings = check_times(0.6 * np.arange(12) - 3 * (np.arange(12) > 5))
+    assert {each.check for each in findings if each.grade} == {Check.CLOCK}
+    assert findings[0].text.startswith("1.67 volumes a second over 3.6 s")
+
+
+def test_frames_and_messages_may_be_faster_than_volumes():
+    assert worst(check_times(1e-3 * np.arange(9), "frames")) is None
+    assert "faster" in worst(check_times(1e-4 * np.arange(9), "messages of Probe"))[1]
+
+
+def test_a_rate_that_is_a_default_of_writers_is_doubted():
+    assert check_times(2 + np.arange(9))[0].text.startswith("1 volume a second")
+    (finding,) = check_stated_step(2 + np.arange(9))
+    assert (finding.grade, finding.text[:27]) == (Grade.DOUBTFUL, "exactly 1 volume a second, ")
+    assert check_stated_step([0, 1, 2.01]) == check_stated_step([3]) == []
+
+
+@pytest.mark.parametrize(("spacing", "unit"), [(0.07, "cm"), (7e-4, "m")])
+def test_a_spacing_in_another_unit_is_told(spacing, unit):
+    (finding,) = check_spacing([spacing] * 3, [90, 60, 40])
+    assert finding.check is Check.SPACING
+    assert finding.advice == f"is the spacing in {unit}?"
 
 
 @pytest.mark.parametrize(
@@ -174,6 +210,18 @@ def test_amplitudes_that_are_not_log_compressed_are_told():
     assert "it is dark where the echo is strong" in worst(check_volume(inverted))[1]
     power = replace(volume, intensities=np.float32(255 / amplitude.max() ** 2) * amplitude**2)
     assert "or its numbers are powers" in worst(check_volume(power))[1]
+
+
+@pytest.mark.parametrize(("share", "judged"), [(0.003, True), (0.03, True), (0.3, False)])
+def test_compression_is_judged_where_little_is_black(share, judged):
+    volume = speckle(np.array([6e-4, 3e-4, 7e-4]), [1.6e-3, 0.6e-3, 2.2e-3])
+    amplitude = 10 ** (volume.intensities.astype(np.float32) * 60 / 255 / 20)
+    linear = np.floor(amplitude / np.quantile(amplitude, share))  # below this, 0
+    for levels, wrong in ((volume.intensities, False), (linear, True)):
+        cut = np.where(linear == 0, 0, levels).astype(np.float32)
+        findings = check_volume(replace(volume, intensities=cut))
+        assert (worst(findings) is not None) == (wrong and judged)
+        assert any("cannot be judged: 0 of" in each.text for each in findings) != judged
 
 
 def test_a_wrong_time_is_no_gap():

@@ -67,6 +67,12 @@ def test_tracked_volumes_of_plus_have_poses_and_invalid_ones_are_skipped(tmp_pat
     recording = Recording(path)
     assert recording.posed
     assert (len(recording), recording.skipped) == (3, 1)
+    assert recording.left_out == {"marked as invalid": [1]}
+    np.testing.assert_allclose(recording.stated_times, [10, 10.25, 10.5, 10.75])
+    assert "for 1 volume a second" in " ".join(Recording(path, volume_rate=1).notes)
+    untimed = Recording(path, poses="none", timed=False)
+    np.testing.assert_allclose(untimed.times, range(4))
+    assert not untimed.notes
     np.testing.assert_allclose(recording.times, [10, 10.5, 10.75])
     np.testing.assert_array_equal(recording[1].intensities, ARRAYS[2])
     # The file's x is the tracker's y, its y the tracker's -x.

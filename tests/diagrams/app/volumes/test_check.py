@@ -13,6 +13,7 @@ from still_tissue import LyingProbe
 from tracked_frames import freehand, write_plus_file
 
 from sonoservo.diagrams.app.cli import run_arguments
+from sonoservo.diagrams.app.options import Reading
 from sonoservo.diagrams.app.volumes.check import check_file, check_stream
 from sonoservo.systems.evaluation.source_checks import Check, Grade
 from sonoservo.systems.live import Link, parse_address
@@ -64,6 +65,53 @@ def test_what_needs_no_times_is_told_without_them(tmp_path):
     assert "20 x 30 x 20 voxels" in found(checked, Check.KIND)[0].text
     (finding,) = found(checked, Check.RATE)
     assert (finding.grade, "--volume-rate" in finding.text) == (Grade.WRONG, True)
+
+
+def noise(count):
+    levels = np.random.default_rng(0).integers(1, 256, (count, 20, 30, 20), dtype=np.uint8)
+    return list(levels)
+
+
+def test_volumes_left_out_are_told_by_their_reason(tmp_path):
+    times = 0.6 * np.arange(12) - 3 * (np.arange(12) > 5)
+    path = write_sequence_nrrd(tmp_path / "a.seq.nrrd", noise(12), times=times.tolist())
+    checked = check_file(path)
+    (finding,) = found(checked, Check.LEFT_OUT)
+    assert finding.text == "5 volumes whose time breaks the order"
+    assert finding.advice == "look at the clock"
+    assert "runs back 1 x" in found(checked, Check.CLOCK)[0].text
+    assert len(found(checked, Check.RATE)) == 1
+    assert not found(check_file(path, Reading(volume_rate=2.0)), Check.CLOCK)
+
+
+@pytest.mark.parametrize(
+    ("fields", "given", "text"),
+    [
+        ({}, None, "60 dB by assumption"),
+        ({"decibels_per_level": "0.2"}, None, "51 dB, as stated with"),
+        ({"decibels_per_level": "0.2"}, 50.0, "50 dB, as --dynamic-range-db says"),
+    ],
+)
+def test_range_from_black_to_white_is_told(tmp_path, fields, given, text):
+    path = write_sequence_nrrd(tmp_path / "a.seq.nrrd", noise(2), **fields)
+    checked = check_file(path, Reading(dynamic_range_db=given))
+    assert any(f"black to white is {text}" in each.text for each in found(checked, Check.CONTENT))
+
+
+def test_a_step_of_one_second_is_doubted_unless_given(tmp_path):
+    path = write_sequence_nrrd(tmp_path / "a.seq.nrrd", noise(3), times=[0.0, 1.0, 2.0])
+    asked = [bool(found(check_file(path, each), Check.RATE)[-1].grade) for each in (
+        Reading(), Reading(volume_rate=1.0)
+    )]  # fmt: skip
+    assert asked == [True, False]
+
+
+def test_times_do_not_matter_to_a_single_volume(tmp_path, capsys):
+    path = write_sequence_nrrd(tmp_path / "a.seq.nrrd", noise(3), times=[5.0, 2.0, 1.0])
+    assert run_arguments(["locate", str(path), "--number", "2"]) == 1  # no needle
+    out = "".join(capsys.readouterr())
+    assert "a second" not in out
+    assert "left out" not in out
 
 
 def test_frames_are_told_by_their_kind_chain_and_sweeps(tmp_path, capsys):
