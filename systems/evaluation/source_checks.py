@@ -13,13 +13,14 @@ from scipy.stats import t as student
 
 from sonoservo.systems.calibration.pose_errors import PoseErrors, told_errors
 from sonoservo.systems.files.volume_file import MAX_STEP
-from sonoservo.systems.recording.valid_frames import MAX_TIME, MIN_STEP, rising
+from sonoservo.systems.recording.valid_frames import MAX_TIME, rising
 from sonoservo.systems.sampling.interpolation import sample_grid
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.volume import ReconstructedVolume, Volume
 from sonoservo.systems.tracking.speckle_width import speckle_spread
 from sonoservo.systems.ultrasound.frame_reconstruction import PosedFrame, reconstruct
 
+_STILL = 1e-6  # smallest time in s by which a clock moves on
 _GAP = 1.5  # time between two volumes, in periods, from which one of them is missing
 
 _FASTEST_VOLUMES, _FASTEST_FRAMES = 200.0, 2000.0
@@ -297,7 +298,7 @@ def check_times(times: ArrayLike, what: str = "volumes") -> list[Finding]:
         findings.append(_Fault.NO_STAMP(missing=len(every) - len(there), what=what))
     if len(kept) < len(there):
         earlier, later = every[there][:-1], every[there][1:]
-        back = there[1:][earlier > later - MIN_STEP]
+        back = there[1:][earlier > later - _STILL]
         found = _Fault.CLOCK(
             back=len(back),
             number=back[0],

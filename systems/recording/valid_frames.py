@@ -17,11 +17,7 @@ from sonoservo.systems.signals.immutable import Immutable
 MAX_TIME = 1e11
 """Largest time in s; the seconds since 1970 are a hundredth of it."""
 
-MIN_STEP = 1e-6
-"""Smallest time between two volumes or frames, in s."""
-
-WITHOUT_TIME, DISORDERED = "without a time", "whose time breaks the order"
-"""Reasons for which the clock has volumes or frames left out."""
+_MIN_STEP = 1e-6  # Smallest time between two volumes or frames, in s
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +83,7 @@ def choose_items(
         raise ConfigurationError(f"{path}: all of its {count} {what}s are invalid")
     chosen, kept = np.array(numbers), rising(times[numbers])
     for k in chosen[~kept]:
-        reason = WITHOUT_TIME if np.isnan(times[k]) else DISORDERED
+        reason = "without a time" if np.isnan(times[k]) else "whose time breaks the order"
         left_out.setdefault(reason, []).append(int(k))
     if not kept.any() or 2 * np.count_nonzero(kept) < len(kept):
         raise ConfigurationError(
@@ -104,7 +100,7 @@ def rising(times: NDArray[np.float64]) -> NDArray[np.bool_]:
     last: list[int] = []
     before = np.full(len(times), -1)
     for k in usable.tolist():
-        length = bisect_right(ends, float(times[k]) - MIN_STEP)
+        length = bisect_right(ends, float(times[k]) - _MIN_STEP)
         before[k] = last[length - 1] if length else -1
         ends[length : length + 1] = [float(times[k])]
         last[length : length + 1] = [k]
