@@ -16,6 +16,7 @@ from sonoservo.systems.evaluation.reports.plots import png
 from sonoservo.systems.evaluation.reports.report import Story, report_body, told, write_report
 from sonoservo.systems.evaluation.reports.verdict import Verdict, reasons_text
 from sonoservo.systems.evaluation.table import Table
+from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.writing import Unwritten, write_atomically
 
 
@@ -34,7 +35,8 @@ class RunResult:
     results
         Further results of the experiment, by name: shape prediction has the last `shape`.
     failure
-        Error of the first file that could not be written; None if all were.
+        What ended the run early, as a tracker of one's own that failed, or else the error of the
+        first file that could not be written; None if there was neither.
     verdict
         Verdict on the run in words; None if nothing judged it.
     published
@@ -47,7 +49,7 @@ class RunResult:
     log: Any
     labels: Mapping[str, str]
     results: Mapping[str, Any] = field(default_factory=dict)
-    failure: OSError | None = None
+    failure: OSError | ConfigurationError | None = None
     verdict: Verdict | None = None
     published: Mapping[str, float] = field(default_factory=dict)
     plots: Mapping[str, tuple[str, Figure]] = field(default_factory=dict)
