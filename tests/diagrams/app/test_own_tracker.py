@@ -34,6 +34,12 @@ def wrong():
 def failing():
     return lambda volume: 1 / 0
 
+def aside():
+    def track(volume):
+        estimate = make()(volume)
+        return replace(estimate, curve=NeedleCurve(estimate.curve.control_points + 0.3))
+    return track
+
 def failing_later():
     track, left = make(), [2, 1]
     return lambda volume: track(volume) if left and left.pop() else 1 / 0
@@ -123,6 +129,9 @@ def test_what_was_tracked_before_a_failure_is_kept(mine, tmp_path):
     run("chatelain2013_fig5", changes=SHORT, tracker=mine.make(), record=path)
     result = track_recording(Recording(path), tracker=mine.failing_later(), out=tmp_path / "t")
     assert len((tmp_path / "t" / "estimates.csv").read_text().splitlines()) == 3
+    assert not result.found.endswith("outside what the volumes show.")
+    away = track_recording(Recording(path), tracker=mine.aside())
+    assert away.found.endswith("outside what the volumes show.")
     assert "failed at" in str(result.failure)
     assert "division by zero" in str(result.failure)
 
