@@ -476,10 +476,10 @@ def _check_compression(volume: Volume) -> list[Finding]:
             f"less than {100 * _CLIPPED:g} % cut off at black or white; {_LEAST_BLOCKS} are needed"
         )
         return [_fine(Check.CONTENT, text)]
-    skewness, most = float(np.median(skew(judged, axis=1))), _SKEWED
+    skewness = float(np.median(skew(judged, axis=1)))
     if skewness > (_RAYLEIGH - _LOGARITHM) / 2:
         return [_Fault.POWERS(skewness=skewness)]
-    return [_Fault.LINEAR(skewness=skewness, most=most)] if skewness > most else []
+    return [_Fault.LINEAR(skewness=skewness, most=_SKEWED)] if skewness > _SKEWED else []
 
 
 def _check_empty(volume: Volume) -> Finding:

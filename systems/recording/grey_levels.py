@@ -45,7 +45,7 @@ def most_channels(read: Callable[[int], NDArray[Any] | None], count: int) -> int
 
     ``read`` returns one of ``count`` images, or None if it cannot be read.
     """
-    looked_at = (read(number) for number in sorted({*range(0, count, max(1, count // _LOOKS))}))
+    looked_at = (read(number) for number in range(0, count, max(1, count // _LOOKS)))
     return max((grey_or_colours(each) for each in looked_at if each is not None), default=1)
 
 
