@@ -144,14 +144,14 @@ def results_table(kept: Mapping[str, Any], rows: str) -> str:
     """Return results as Markdown: where they come from, whether they are outdated, and a table.
 
     `kept`: contents of study.json; `rows`: "all" rows, folded by experiment; "published" ones, with
-    a figure of the paper; of the study of robustness, "thresholds" or "experiments".
+    a figure of the paper; of the study of robustness, "dials" or "experiments".
     """
     numbers = sorted({len(seeds) for seeds in kept["seeds"].values()})
     seeds = " to ".join(map(str, dict.fromkeys((numbers[0], numbers[-1]))))
     seeds += " seeds" if numbers[-1] > 1 else " seed"
     seeds = f", {seeds} an experiment"
-    if rows == "thresholds":
-        return f"{_source(kept, seeds)}\n\n{_thresholds_table(kept['thresholds'])}"
+    if rows == "dials":
+        return f"{_source(kept, seeds)}\n\n{_dials_table(kept['dials'])}"
     if rows == "experiments":
         return f"{_source(kept, seeds)}\n\n{_experiments_table(kept)}"
     study_rows = [_row(each) for each in kept["rows"]]
@@ -265,10 +265,9 @@ _KEPT = {
 }
 
 
-def _thresholds_table(thresholds: Sequence[Mapping[str, str]]) -> str:
-    """Return the dials' thresholds as Markdown, with a column for each tracker."""
-    heads = list(dict.fromkeys(key for each in thresholds for key in each))
-    return Table(heads, [[each.get(key, "") for key in heads] for each in thresholds]).markdown()
+def _dials_table(dials: Sequence[Mapping[str, str]]) -> str:
+    """Return the successes dial by dial as Markdown, with a column for each tracker."""
+    return Table([*dials[0]], [[*each.values()] for each in dials]).markdown()
 
 
 def _experiments_table(kept: Mapping[str, Any]) -> str:

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import takewhile
 from typing import Any
 
 import numpy as np
@@ -10,7 +9,7 @@ from numpy.typing import NDArray
 
 from sonoservo.diagrams.studies.run_group import RunGroup, Value, pooled, quantile_of
 from sonoservo.diagrams.studies.study import Outcome
-from sonoservo.systems.evaluation.success import KEPT, TrackedVolumes, finite_or_infinite
+from sonoservo.systems.evaluation.success import TrackedVolumes, finite_or_infinite
 
 Floats = NDArray[np.float64]
 
@@ -80,48 +79,3 @@ class Group(RunGroup[Record]):
 def chased(record: Record) -> bool:
     """Return True if the probe went 10 mm or more after a needle that is not in the image."""
     return (record.travel_mm or 0.0) >= _WORTH
-
-
-@dataclass(frozen=True)
-class Threshold:
-    """Strengths of a dial between which success falls under 95 %, in the dial's own unit.
-
-    A strength counts as kept or failed if the 95 % interval of its share lies on that side.
-    """
-
-    kept: float | None = None  # last of the first strengths that are all kept, if any
-    failed: float | None = None  # first of the last strengths that all fail, if any
-    decided: bool = True  # whether every strength studied is one of these
-    plain: bool = True  # False if runs fail with every dial off
-
-    def __str__(self) -> str:
-        if not self.plain:
-            return "no threshold"
-        kept, failed = (None if x is None else f"{x:.3g}" for x in (self.kept, self.failed))
-        if self.decided:
-            if failed is None:
-                return "not studied" if kept is None else f"beyond {kept}"
-            return "below the first strength" if kept is None else failed
-        if failed is None:
-            return "undecided" if kept is None else f"undecided, beyond {kept}"
-        return f"undecided, up to {failed}" if kept is None else f"undecided, {kept} to {failed}"
-
-
-def threshold(points: Sequence[tuple[float, Value]]) -> Threshold:
-    """Return the threshold of a dial from the shares in % by strength, the weakest first."""
-    kept = [*takewhile(lambda each: _keeps(each[1]), points)]
-    failed = [*takewhile(lambda each: fails(each[1]), reversed(points))]
-    return Threshold(
-        kept[-1][0] if kept else None,
-        failed[-1][0] if failed else None,
-        decided=len(kept) + len(failed) == len(points),
-    )
-
-
-def _keeps(share: Value) -> bool:
-    return share.low is not None and share.low >= 100 * KEPT
-
-
-def fails(share: Value) -> bool:
-    """Return True if the whole interval of a share in % lies under 95 %."""
-    return share.high is not None and share.high < 100 * KEPT

@@ -1,19 +1,13 @@
-"""Report of the study of robustness: rows of three trackers, and the dials' thresholds."""
+"""Report of the study of robustness: rows of three trackers, and their successes dial by dial."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from sonoservo.diagrams.studies.robustness.analysis import (
-    Group,
-    Threshold,
-    chased,
-    fails,
-    threshold,
-)
+from sonoservo.diagrams.studies.robustness.analysis import Group, chased
 from sonoservo.diagrams.studies.robustness.plots import study_figures
-from sonoservo.diagrams.studies.robustness.runs import GRADED, OURS, PUBLISHED, TRACKERS
+from sonoservo.diagrams.studies.robustness.runs import CLINIC, GRADED, OURS, PUBLISHED, TRACKERS
 from sonoservo.diagrams.studies.run_group import Value
 from sonoservo.diagrams.studies.study import Outcome
 from sonoservo.diagrams.studies.study_report import Study, StudyRow, read_notes
@@ -68,37 +62,28 @@ _TRAVEL: Sequence[tuple[str, str, Callable[[Group], Value]]] = (
 
 @dataclass(frozen=True, kw_only=True)
 class RobustnessStudy(Study):
-    """Study of robustness, with the dials' thresholds of each tracker in words; see `Study`."""
+    """Study of robustness, with each tracker's successes dial by dial; see `Study`."""
 
-    thresholds: Sequence[Mapping[str, str]] = field(default_factory=tuple)
+    dials: Sequence[Mapping[str, str]] = field(default_factory=tuple)
 
     def as_json(self, command: str) -> dict[str, Any]:
         """Return everything except the pictures, for a JSON file."""
-        return super().as_json(command) | {"thresholds": [dict(each) for each in self.thresholds]}
+        return super().as_json(command) | {"dials": [dict(each) for each in self.dials]}
 
 
 def report(outcomes: Sequence[Outcome], folder: Path | None = None) -> RobustnessStudy:
     """Return the study of finished runs; without its folder, there are no figures."""
     groups = group_outcomes(outcomes)
     curves = dial_curves([each for each in outcomes if _is_shared(each)])
-    thresholds = dial_thresholds(curves)
     rows = [row for name, trackers in groups.items() for row in _rows(name, trackers)]
     return RobustnessStudy(
         paper="robustness",
         title=TITLE,
-        rows=[*_threshold_rows(thresholds), *rows],
+        rows=rows,
         outcomes=outcomes,
         figures=study_figures(curves, groups) if folder else (),
-        notes=[*([_threshold_note(thresholds)] if thresholds else []), *_notes()],
-        thresholds=[
-            {
-                "dial": name,
-                "unit": GRADED[name].unit,
-                "moderate": GRADED[name].words(1.0, unit=False),
-                **{kind: _threshold_words(name, each) for kind, each in trackers.items()},
-            }
-            for name, trackers in thresholds.items()
-        ],
+        notes=_notes(),
+        dials=[_successes(name, curve) for name, curve in dial_curves(outcomes).items()],
     )
 
 
@@ -124,7 +109,7 @@ def dial_curves(outcomes: Sequence[Outcome]) -> dict[str, Curve]:
     curves: dict[str, dict[float, Mapping[str, Group]]] = {}
     for each in outcomes:
         settings = each.case.settings
-        if settings["loop"] == "open":
+        if settings["loop"] == "open" and "dial" in settings:
             points = curves.setdefault(settings["dial"], {})
             points[settings["strength"]] = groups[each.case.experiment]
     return {
@@ -132,34 +117,20 @@ def dial_curves(outcomes: Sequence[Outcome]) -> dict[str, Curve]:
     }
 
 
-def dial_thresholds(curves: Mapping[str, Curve]) -> dict[str, dict[str, Threshold]]:
-    """Return the threshold of each dial and tracker, in the dial's own unit."""
-
-    def success(group: Group) -> Value:
-        return group.share(lambda run: run.success)
-
-    def found(name: str, kind: str) -> Threshold:
-        if any(fails(success(groups[kind])) for _, groups in curves.get("plain", [])):
-            return Threshold(plain=False)
-        return threshold(
-            [
-                (GRADED[name].quantity(strength), success(groups[kind]))
-                for strength, groups in curves[name]
-            ]
-        )
-
+def _successes(name: str, curve: Curve) -> dict[str, str]:
+    """Return how many runs of each tracker succeed at each strength of a dial, in words."""
+    dial = GRADED.get(name)
     return {
-        name: {kind: found(name, kind) for kind in TRACKERS} for name in curves if name in GRADED
+        "dial": {"plain": "none", CLINIC: f"all (`{CLINIC}`)"}.get(name, name),
+        "unit": dial.unit if dial else "",
+        "strengths": ", ".join(dial.words(each, unit=False) for each, _ in curve) if dial else "",
+        "moderate": dial.words(1.0, unit=False) if dial else "",
+        **{kind: ", ".join(_of(groups.get(kind)) for _, groups in curve) for kind in TRACKERS},
     }
 
 
-def _threshold_words(name: str, threshold: Threshold) -> str:
-    """Return a threshold in words; a switch has no strength."""
-    if GRADED[name].unit or not threshold.plain:
-        return str(threshold)
-    if not threshold.decided:
-        return "undecided"
-    return "on" if threshold.failed is not None else "not reached"
+def _of(group: Group | None) -> str:
+    return f"{sum(run.success for run in group.runs)}/{group.total}" if group else "-"
 
 
 def _is_shared(outcome: Outcome) -> bool:
@@ -201,31 +172,6 @@ def _compared(
 def _moves(group: Group) -> bool:
     """Return True if the probe follows the tracker."""
     return any(each.travel_mm is not None for each in group.runs)
-
-
-def _threshold_rows(thresholds: Mapping[str, Mapping[str, Threshold]]) -> list[StudyRow]:
-    """Return the thresholds as rows; where nothing is known to fail, the interval is open."""
-    rows = []
-    for name, trackers in thresholds.items():
-        figures = {kind: _limits(each) for kind, each in trackers.items()}
-        rows += _compared("success falls under 95 % at", name, GRADED[name].unit, figures)
-    return rows
-
-
-def _limits(found: Threshold) -> Value:
-    """Return a threshold, if it is decided, and the strengths between which it lies."""
-    beyond = found.failed is None and found.kept is not None
-    high = float("inf") if beyond else found.failed
-    return Value(found.failed if found.decided else None, low=found.kept, high=high)
-
-
-def _threshold_note(thresholds: Mapping[str, Mapping[str, Threshold]]) -> str:
-    """Return all thresholds as a paragraph."""
-    lines = []
-    for name, trackers in thresholds.items():
-        words = ", ".join(_threshold_words(name, each) for each in trackers.values())
-        lines.append(f"{name} ({GRADED[name].unit or 'a switch'}): {words}")
-    return f"Thresholds of {', '.join(TRACKERS)}: {'; '.join(lines)}."
 
 
 TITLE = "Robustness: one dial of the harder world at a time, and all of them in the clinic"

@@ -142,7 +142,7 @@ def test_each_experiment_has_a_line_of_its_main_figures(data):
 
 def test_a_table_says_whether_the_code_of_its_runs_has_changed(data):
     said = "has changed since"
-    for rows, more in (("all", {}), ("thresholds", {"thresholds": [{"dial": "speed"}]})):
+    for rows, more in (("all", {}), ("dials", {"dials": [{"dial": "speed"}]})):
         assert said not in results.results_table(data | more, rows)
         assert said in results.results_table(data | more | {"outdated": True}, rows)
 

@@ -10,9 +10,9 @@ from pydrake.math import RigidTransform, RotationMatrix
 from sonoservo.diagrams import load_scenario, make_insertion
 from sonoservo.diagrams.papers import results
 from sonoservo.diagrams.papers.registry import reproduce
-from sonoservo.diagrams.studies import Case, Outcome, StudyOptions, records, run_group, write_study
+from sonoservo.diagrams.studies import Case, Outcome, StudyOptions, records, write_study
 from sonoservo.diagrams.studies.robustness import reproduction
-from sonoservo.diagrams.studies.robustness.analysis import Group, Record, threshold
+from sonoservo.diagrams.studies.robustness.analysis import Group, Record
 from sonoservo.diagrams.studies.robustness.planned_motion import MotionPlan
 from sonoservo.diagrams.studies.robustness.report import report
 from sonoservo.diagrams.studies.robustness.runs import (
@@ -96,25 +96,6 @@ def test_doubt_is_judged_where_it_is_stated_from_the_detection_on():
     assert Group([lost], OURS).inside("tip").true is None
     rows = {each.quantity: each for each in report(outcomes({1.0: (1, 1, 1)})).rows}
     assert rows["truth inside the stated 95 %, tip"].true == 100
-
-
-@pytest.mark.parametrize(
-    ("intervals", "words"),
-    [
-        ([(96, 100), (95, 99), (60, 90)], "4"),
-        ([(96, 100), (90, 99), (60, 90)], "undecided, 1 to 4"),
-        ([(21, 100), (21, 100), (0, 79)], "undecided, up to 4"),
-        ([(0, 79), (21, 100), (21, 100)], "undecided"),  # a stronger dial does better
-        ([(96, 100), (0, 79), (96, 100)], "undecided, beyond 1"),
-        ([(96, 100)] * 3, "beyond 4"),
-        ([(0, 79)] * 3, "below the first strength"),
-        ([(None, None)] * 3, "undecided"),
-        ([], "not studied"),
-    ],
-)
-def test_thresholds(intervals, words):
-    shares = [run_group.Value(50, low=low, high=high) for low, high in intervals]
-    assert str(threshold([(2.0**k, share) for k, share in enumerate(shares)])) == words
 
 
 @pytest.mark.parametrize("name", GRADED)
@@ -211,7 +192,7 @@ def outcomes(values):
     return made
 
 
-def test_scenes_that_only_ours_saw_count_in_its_rows_but_not_in_thresholds():
+def test_scenes_that_only_ours_saw_count_as_its_own():
     shared = outcomes({1.0: (1, 1, 1), 2.0: (1, 1, 1)})
     settings = {**shared[0].case.settings, "trackers": [OURS]}
     alone = [
@@ -219,7 +200,7 @@ def test_scenes_that_only_ours_saw_count_in_its_rows_but_not_in_thresholds():
         for seed in (101, 102, 103)
     ]
     study = report([*shared, *alone])
-    assert study.thresholds[0][OURS] == "undecided"
+    assert [study.dials[0][kind] for kind in TRACKERS] == ["1/4, 1/1", "1/1, 1/1", "1/1, 1/1"]
     row = next(
         each
         for each in study.rows
@@ -228,25 +209,17 @@ def test_scenes_that_only_ours_saw_count_in_its_rows_but_not_in_thresholds():
     assert (row.true, row.published_true) == (25, 100)
 
 
-def test_the_report_gives_thresholds_and_they_become_a_table():
+def test_successes_by_strength_become_a_table():
     study = report(outcomes({1.0: (1, 1, 9), 2.0: (1, 3, 9), 4.0: (1, 9, 9)}))
-    (row,) = study.thresholds
-    words = ["undecided", "undecided, up to 2", "below the first strength"]
-    assert [row[kind] for kind in TRACKERS] == words
     data = study.as_json("sonoservo reproduce robustness")
-    text = results.results_table(data, "thresholds")
-    assert f"| drag | mm | 1 | {' | '.join(words)} |" in text
+    text = results.results_table(data, "dials")
+    cells = ["1/1, 1/1, 1/1", "1/1, 0/1, 0/1", "0/1, 0/1, 0/1"]
+    assert f"| drag | mm | 1, 2, 4 | 1 | {' | '.join(cells)} |" in text
     rows = {(each["experiment"], each["quantity"]): each for each in data["rows"]}
     success = rows["open loop, drag 2 mm", "success"]
     assert (success["true"], success["published_true"]) == (100, 0)
     assert success["high"] == 100
     assert rows["open loop, drag 4 mm", "success, zhao2012"]["true"] == 0
-    limits = [each for each in data["rows"] if each["experiment"].startswith("success falls")]
-    ours, zhao = limits
-    assert (ours["true"], ours["low"], ours["high"]) == (None, None, None)
-    assert (ours["published_true"], ours["published_high"]) == (None, 2)
-    assert (zhao["true"], zhao["low"]) == (1, None)
-    assert f"drag (mm): {', '.join(words)}" in data["notes"][0]
 
 
 @pytest.mark.slow
