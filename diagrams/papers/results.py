@@ -184,8 +184,7 @@ def _first_table(rows: Sequence[StudyRow]) -> Table:
     """Return the rows in five columns, for README."""
     lines = []
     for row in rows:
-        interval = interval_text(row.low, row.high)
-        true = cell_text(row.true, "") + (f" ({interval})" if interval else "")
+        true = _figure_text(row.true, row.low, row.high)
         name = f"{row.experiment}: {row.named}"
         lines.append([name, row.paper, row.estimated, true, row.published_true])
     heads = ["quantity", "paper", "ours, estimated", "ours, true (95 %)", "as published, true"]
@@ -272,21 +271,24 @@ def _dials_table(dials: Sequence[Mapping[str, str]]) -> str:
 
 def _experiments_table(kept: Mapping[str, Any]) -> str:
     """Return the `_MAIN_FIGURES` of each experiment as Markdown, with their intervals."""
-    experiments: dict[str, dict[str, Mapping[str, Any]]] = {}
-    for row in kept["rows"]:
-        experiments.setdefault(row["experiment"], {})[row["quantity"]] = row
+    experiments: dict[str, dict[str, StudyRow]] = {}
+    for row in map(_row, kept["rows"]):
+        experiments.setdefault(row.experiment, {})[row.quantity] = row
     lines = []
     for name, seeds in kept["seeds"].items():
         cells = [name, str(len(seeds))]
         for quantity, prefix in _MAIN_FIGURES.values():
-            row = experiments[name].get(quantity, {})
-            figure, low, high = (row.get(prefix + key) for key in ("true", "low", "high"))
-            text = cell_text(figure, "")
-            if figure is not None and low is not None:
-                text += f" ({interval_text(low, math.inf if high is None else high)})"
-            cells.append(text)
+            found = experiments[name].get(quantity)
+            keys = (prefix + key for key in ("true", "low", "high"))
+            cells.append(_figure_text(*(getattr(found, key, None) for key in keys)))
         lines.append(cells)
     return Table(["experiment", "seeds", *_MAIN_FIGURES], lines).markdown()
+
+
+def _figure_text(figure: float | None, low: float | None, high: float | None) -> str:
+    """Return a figure with its interval, such as "0.50 (0.40 to 0.60)", if enough runs tell one."""
+    unknown = None in (low, high) or (low, high) == (-math.inf, math.inf)
+    return cell_text(figure, "") + ("" if unknown else f" ({interval_text(low, high)})")
 
 
 def _row(kept: Mapping[str, Any]) -> StudyRow:
