@@ -52,7 +52,7 @@ for system in make_experiment(scenario).diagram.GetSystems():
 # %% [markdown]
 # The console shows each volume as it is acquired: the two orthogonal planes through the estimated
 # needle, with lines beside its echo and a ring around the tip. Run the next two cells and watch it
-# here. In the terminal, `make run` also shows the whole world in it:
+# here. In a terminal, `make run` also shows the whole world:
 #
 # ![The console](console.png)
 
@@ -64,24 +64,24 @@ console
 result = run(scenario, console=console)
 
 # %% [markdown]
-# The figures of the run beside the paper's. The paper could report estimated errors only; here
-# they can be compared with ground truth.
+# The figures of the run beside the paper's. The paper could only report estimated errors; here they
+# can be compared with ground truth.
 
 # %%
 result
 
 # %% [markdown]
-# The features that the servo drives to zero, the tip, the motion of the probe and the force. In the
-# two panels on top, solid lines show the truth and dashed lines the estimate. No needle had been
-# found yet in the grey part.
+# The plots show the features that the servo drives to zero, the tip, the motion of the probe and
+# the force. In the top two panels, solid lines are the truth and dashed lines the estimate. Grey
+# marks the time before a needle was found.
 
 # %%
 result.plot()
 
 # %% [markdown]
 # `result.log` holds every signal as an array, in SI units and in W (see the list in
-# `systems/evaluation/README.md`). Across the needle the estimate is off by a tenth of a
-# millimetre or two, and along it by more, because a beam 2 mm wide blurs the needle's end.
+# `systems/evaluation/README.md`). Across the needle, the estimate is off by a tenth or two of a
+# millimetre. Along it, the error is larger, because a beam 2 mm wide blurs the needle's end.
 
 # %%
 log, errors = result.log, estimate_errors(result.log)

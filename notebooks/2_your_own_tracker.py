@@ -1,9 +1,9 @@
 # %% [markdown]
 # # Your own tracker
 #
-# A tracker is any Drake system with the input `volume` and the output `estimate`. Everything
-# else (robot, ultrasound, controller, log, figures) stays the same. Here is a tracker in 25 lines:
-# it searches every volume as a whole and has no memory.
+# A tracker is any Drake system with the input `volume` and the output `estimate`. Everything else
+# (robot, ultrasound, controller, log, figures) stays the same. Here is a tracker in 30 lines. It
+# searches every volume as a whole and has no memory.
 
 # %%
 # %matplotlib inline
@@ -27,7 +27,7 @@ scenario = load_scenario("chatelain2013_fig5", changes=changes)
 # * `estimate` carries a `NeedleEstimate`: a mode, the needle's curve in the world frame W (entry
 #   first, tip last), the velocity of its control points and their covariance.
 # * The estimate is a state that is updated once per volume; the controller reads it about a hundred
-#   times as often.
+#   times a second.
 
 # %%
 SEARCHING = NeedleEstimate(TrackingMode.SEARCHING, time=0.0)
@@ -68,8 +68,8 @@ def estimate_in(volume):
 
 
 # %% [markdown]
-# `tracker_events` returns the times of the volumes, as the period and offset of the tracker's
-# event.
+# `tracker_events` returns the period and offset of the tracker's update event, so that it runs once
+# per volume.
 
 # %%
 events = tracker_events(scenario)
@@ -107,9 +107,9 @@ for name, result in runs.items():
     )
 
 # %% [markdown]
-# Without memory, whatever looks like a needle is one at once: here that is the needle; in tissue
-# with structures it is often something else. The first tracker waits until it has seen a line
-# advance (a belief about all lines), predicts where to look (a Kalman filter), and gives the
-# servo a velocity to feed forward. Its errors are of the volumes in which it tracks, so the two
-# medians are of different volumes. To build such a tracker, reuse the blocks in
-# `diagrams/trackers`; each is a system of its own.
+# Without memory, whatever looks like a needle is accepted at once. Here that is the needle; in
+# tissue with structures it is often something else. The built-in tracker waits until it has seen a
+# line advance, predicts where to look with a Kalman filter, and gives the servo a velocity to feed
+# forward. Errors only count volumes in which a tracker tracks, so the two medians are over
+# different volumes. To build such a tracker, reuse the blocks in `diagrams/trackers`; each is a
+# Drake system.

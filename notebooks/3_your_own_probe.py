@@ -1,8 +1,8 @@
 # %% [markdown]
 # # Your own probe
 #
-# A probe is described by a YAML file of its hardware. Write your own, look at its beam and at the
-# image of a needle, and give it to the robot. No file of the package needs to change.
+# A YAML file describes the hardware of a probe. Write your own, look at its beam and at the image
+# of a needle, and give it to the robot. No file of the package needs to change.
 
 # %%
 # %matplotlib inline
@@ -20,10 +20,10 @@ from sonoservo.systems.ultrasound import elevation_width, lateral_width, load_tr
 
 # %% [markdown]
 # A probe has a transducer and a body. Fields missing from the file keep the values of the
-# Ultrasonix 4DC7-3/40 (Chatelain 2013). If the body is missing, it is assumed to have a dome
-# curved like the transducer's face.
-# Here is an abdominal probe, which is flatter and wider. Lengths are in m, frequencies in Hz. After
-# a mistake, the error names the field, its value and what is allowed.
+# Ultrasonix 4DC7-3/40 (Chatelain 2013). If the body is missing, it is assumed to have a dome curved
+# like the transducer's face. Here is an abdominal probe, which is flatter and wider. Lengths are in
+# m, frequencies in Hz. If there is a mistake, the error names the field, its value and what is
+# allowed.
 
 # %%
 folder = tempfile.TemporaryDirectory()

@@ -2,7 +2,7 @@
 # # Your own recording
 #
 # The tracker accepts volumes from any source: files of 3D Slicer and PLUS, or your own arrays.
-# Here, a simulated run stands in for your scanner; give `MINE` the path of your file, and go on.
+# Here, a simulated run stands in for your scanner. To use your own file, set `MINE` to its path.
 
 # %%
 # %matplotlib inline
@@ -44,8 +44,8 @@ print(f"{len(recording)} volumes of {volume.intensities.shape}, {1e3 * volume.sp
 print(f"from {recording.times[0]:.2f} to {recording.times[-1]:.2f} s; poses: {recording.posed}")
 
 # %% [markdown]
-# Track the needle, and watch the console meanwhile. In the terminal, use `sonoservo track
-# simulated.seq.nrrd --show`.
+# Track the needle and watch the console. In a terminal, use
+# `sonoservo track simulated.seq.nrrd --show`.
 
 # %% tags=["remove-output"]
 console = Console()

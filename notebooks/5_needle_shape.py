@@ -2,9 +2,9 @@
 # # Predicting a needle's shape
 #
 # A bevelled needle bends as it is inserted. Carriere, Rossa, Usmani, Sloboda and Tavakoli (AIM
-# 2016) find its cross-section in axial slices, and predict its fully inserted shape from the first
-# of them. Here, the probe steps along the needle, the bevel is turned at a depth of 60 mm, and only
-# the slices up to that depth are used.
+# 2016) find its cross-section in axial slices, and predict its final shape from the first of them.
+# Here, the probe steps along the needle, the bevel is turned at a depth of 60 mm, and only the
+# slices up to that depth are used.
 
 # %%
 # %matplotlib inline
@@ -30,10 +30,10 @@ results = {
 }
 
 # %% [markdown]
-# The path over depth, in the needle's plane of bending (top) and across it. Left of the dashed
-# line, at which the bevel is turned, the slices were used; right of it, the needle is predicted.
-# The band contains it with a probability of 95 % if the curvature wanders as much as the
-# estimator assumes, by about 10 %.
+# The path over depth, in the needle's plane of bending (top) and across it. The bevel is turned at
+# the dashed line. Left of it, the slices were used; right of it, the needle is predicted. The band
+# contains it with a probability of 95 % if the curvature wanders as much as the estimator assumes,
+# by about 10 %.
 
 # %%
 result = results["particle_filter"]
@@ -74,5 +74,5 @@ for name, each in results.items():
     )
 
 # %% [markdown]
-# A single needle proves nothing, whichever estimator it favours; `sonoservo reproduce carriere2016`
-# compares them over hundreds.
+# A single needle proves nothing. `sonoservo reproduce carriere2016` compares the estimators over
+# hundreds.

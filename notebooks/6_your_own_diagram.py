@@ -1,9 +1,9 @@
 # %% [markdown]
 # # In your own diagram
 #
-# Every block is a Drake system. Here the tracker and the visual servo stand in a diagram of your
-# own, between a scanner and a robot that are yours. The ports of the whole loop, of which the
-# servo is a part of the controller (grey: optional):
+# Every block is a Drake system. This notebook connects the tracker and the visual servo to your
+# scanner and your robot in a diagram of your own. These are the ports of the whole loop (grey:
+# optional). The visual servo is a part of the controller.
 #
 # ![Ports of scanner, tracker, controller and robot](ports.png)
 
@@ -36,8 +36,8 @@ print(len(volumes), "volumes of", volumes[0].intensities.shape)
 
 # %% [markdown]
 # Your scanner is a system with the output `volume`, which carries a `Volume`: grey levels on a grid
-# in the probe frame P, and the pose `X_WP` at its `time`. Your robot gives that pose, and takes the
-# velocity that the servo wants, in the plane X-Z of P and about its Y.
+# in the probe frame P, and the pose `X_WP` at its `time`. Your robot supplies that pose and
+# receives the velocity that the servo commands, in the X-Z plane of P and about its Y axis.
 
 
 # %%
@@ -77,8 +77,8 @@ print(
 )
 
 # %% [markdown]
-# What the servo would have the robot do: nothing until the needle is found. This robot does not
-# move, so what is wanted along X grows with the tip's distance, up to the limit of 30 mm/s.
+# The servo commands nothing until the needle is found. This robot does not move, so the commanded
+# velocity along X grows with the tip's distance, up to the limit of 30 mm/s.
 
 # %%
 LABELS = ("along X (mm/s)", "along Z (mm/s)", "about Y (0.001 rad/s)")
@@ -92,5 +92,5 @@ plt.show()
 
 # %% [markdown]
 # To close the loop, connect `MakeProbeController(parameters=ProbeControllerParameters())` of
-# `sonoservo.diagrams` in the servo's place: it adds the force law, the arm's kinematics and the
-# guard, and its `joint_command` goes to your arm.
+# `sonoservo.diagrams` in place of the servo. It adds the force law, the arm's kinematics and the
+# guard. Its `joint_command` goes to your arm.

@@ -1,12 +1,13 @@
 # %% [markdown]
 # # Learn to follow
 #
-# The loop as an environment of Gymnasium (extra `gym`): an agent sees ten features, as the
-# robot's servo does, and moves the probe: an action is the velocities along X and Z, that about
-# Y, and the wanted force, each from -1 to 1. The reward is 1 if the needle is centred, aligned
-# and in view, and the force is right. Here a small policy learns from the servo in some five
-# minutes on two cores, without a network: behaviour cloning, and one round in which the servo
-# corrects what the policy does (DAgger).
+# This notebook uses the loop as a Gymnasium environment (extra `gym`). The agent sees ten features,
+# as the robot's servo does, and moves the probe. An action is the velocities along X and Z, the
+# angular velocity about Y and the target force, each scaled to -1 to 1. The reward is 1 if the
+# needle is centred, aligned and in view, and the force is right.
+#
+# A small policy, without a neural network, learns from the servo in some five minutes on two cores:
+# by behaviour cloning, and one round in which the servo corrects what the policy does (DAgger).
 
 # %%
 # %matplotlib inline
@@ -24,7 +25,8 @@ changes = ["hand.start=1.0", *quick]
 environment = FollowNeedle(changes=changes)  # or gymnasium.make("sonoservo/FollowNeedle-v0")
 
 # %% [markdown]
-# An episode with a policy. The servo says what it would have done; `share` is how often it acts.
+# This runs an episode with a policy. In every step, the servo says what it would have done; `share`
+# is the fraction of steps in which it acts itself.
 
 # %%
 rng = np.random.default_rng(0)
@@ -48,7 +50,7 @@ def episode(policy, seed, share=0.0):
 
 
 # %% [markdown]
-# The policy is linear in the features and in their products with `tracked`, so that it may stand
+# The policy is linear in the features and in their products with `tracked`, so that it can hold
 # still while nothing is tracked. It is fitted by ridge regression.
 
 
@@ -72,7 +74,7 @@ corrected = [*demonstrations, episode(cloned, 3, share=0.3)[:2]]
 policy = fitted(*map(np.concatenate, zip(*corrected, strict=True)))
 
 # %% [markdown]
-# On an episode that neither has seen, beside the servo:
+# Compare the policies with the servo on an episode that none has seen:
 
 # %%
 rewards = {
@@ -88,8 +90,7 @@ plt.legend()
 plt.show()
 
 # %% [markdown]
-# One episode is no comparison; average over many. What the policy lacks: it sees one instant, so
-# it knows neither how old its knowledge is nor how the needle moves between volumes, which the
-# servo extrapolates at a hundred times a second; it has no reason to hold when the estimate is
-# stale or uncertain; and it knows only the insertions that were shown. `randomize=1.0` turns the
-# dials of the harder world at random.
+# One episode proves little; average over many. The policy acts once per volume, whereas the servo
+# extrapolates the needle's motion a hundred times a second. It has no reason to hold when the
+# estimate is stale or uncertain, and it only knows the insertions that it was shown.
+# `randomize=1.0` turns the dials of the harder world at random.

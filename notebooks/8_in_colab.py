@@ -1,8 +1,8 @@
 # %% [markdown]
 # # In Google Colab
 #
-# For Colab and other hosted notebooks: install the wheel there, run, and see. `pip wheel
-# --no-deps .` makes the wheel in a clone; upload it, and set `WHEEL` to its path or address.
+# This notebook runs sonoservo in Colab and other hosted notebooks. In a clone,
+# `pip wheel --no-deps .` makes the wheel. Upload it, and set `WHEEL` to its path or address.
 
 # %%
 import importlib.util
