@@ -95,7 +95,7 @@ def compile_command(
         bool, typer.Option("--all", help="Also what `clinic` and shape prediction need.")
     ] = False,
 ) -> None:
-    """Compile the kernels of `make run` beforehand; else the first run does, in about a minute."""
+    """Compile the kernels beforehand; otherwise the first run does, in about a minute."""
     from sonoservo.diagrams.app.compile import compile_kernels
 
     with waiting("Loading the kernels; compiling what is missing takes up to a minute ..."):
@@ -124,7 +124,8 @@ def run_command(
         ),
     ] = False,
     replay: Annotated[
-        bool, typer.Option("--replay", help="Write replay.html, the run in 3D, without a page too.")
+        bool,
+        typer.Option("--replay", help="Write replay.html, the run in 3D, even without a page."),
     ] = False,
     movie: Annotated[
         Path | None, typer.Option(help="Movie of slices and curves: NAME.gif or NAME.mp4.")

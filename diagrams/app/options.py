@@ -48,7 +48,7 @@ SeedOption = Annotated[int | None, typer.Option(min=0, help="Random seed of the 
 WaitOption = Annotated[int, typer.Option(min=0, help="Live: number of peers to wait for.")]
 LogOption = Annotated[
     Path | None,
-    typer.Option("--log", help="Log for a viewer: NAME.rrd (Rerun), NAME.mcap (Foxglove, ROS 2)."),
+    typer.Option("--log", help="Log for a viewer: NAME.rrd (Rerun), NAME.mcap (Foxglove)."),
 ]
 ExplainOption = Annotated[
     bool,
@@ -72,11 +72,9 @@ def _metres(given: Any) -> float:
     return 1e-3 * float(given) if isinstance(given, str) else given
 
 
-def millimetres(name: str, help: str, default: str | None = None) -> Any:
+def millimetres(name: str, help: str) -> Any:
     """Return an option for a length that a person gives in mm; its value is in m."""
-    return typer.Option(
-        name, parser=_metres, metavar="MM", help=help, show_default=default or False
-    )
+    return typer.Option(name, parser=_metres, metavar="MM", help=help, show_default=False)
 
 
 @dataclass(kw_only=True)
@@ -178,7 +176,7 @@ class Frames:
         typer.Option(help="Frames per volume; by default, one sweep in either direction."),
     ] = None
     spacing: Annotated[
-        float, millimetres("--spacing", "Size of reconstructed voxels, in mm.", "0.7")
+        float, millimetres("--spacing", "Size of reconstructed voxels in mm; 0.7 by default.")
     ] = 7e-4
 
 

@@ -1,4 +1,4 @@
-"""A run that is also written as a log for a viewer: Rerun, Foxglove or ROS 2."""
+"""A run that is also written as a log for a viewer: Rerun or Foxglove."""
 
 from collections.abc import Callable
 from pathlib import Path

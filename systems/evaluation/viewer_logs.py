@@ -1,4 +1,4 @@
-"""A run as a log for a viewer: a recording of Rerun, or MCAP for Foxglove and ROS 2."""
+"""A run as a log for a viewer: a recording of Rerun, or MCAP for Foxglove."""
 
 import io
 import os

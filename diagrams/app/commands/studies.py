@@ -135,8 +135,8 @@ def reproduce_command(
     paper: Annotated[
         str,
         typer.Argument(
-            help=f"Paper to reproduce: {', '.join(PAPERS)}; or all of them: all. Or a study of no "
-            f"paper: {', '.join(STUDIES)}."
+            help=f"Paper to reproduce: {', '.join(PAPERS)}, or all; or the study "
+            f"{', '.join(STUDIES)}."
         ),
     ],
     workers: Workers,
@@ -149,21 +149,23 @@ def reproduce_command(
     ] = None,
     first_seed: Annotated[int, typer.Option(help="First seed.")] = 0,
     only: Annotated[
-        str, typer.Option(help="Run the experiments only whose names begin so, such as open.")
+        str, typer.Option(help="Run only experiments whose names begin with this, such as open.")
     ] = "",
     finished: Annotated[
-        bool, typer.Option("--finished", help="Report the finished runs, and make no others.")
+        bool, typer.Option("--finished", help="Report the finished runs, without making others.")
     ] = False,
     keep: Annotated[
         bool, typer.Option("--keep", help="Keep the results in the repository, with its tables.")
     ] = False,
     add: Annotated[
         bool,
-        typer.Option("--add", help="Make only what is not kept yet, and keep it beside the rest."),
+        typer.Option(
+            "--add", help="Make the runs that are not kept yet, and keep them beside the others."
+        ),
     ] = False,
     repeat: Annotated[
         int | None,
-        typer.Option(min=1, help="Make so many of the kept runs again, and compare the figures."),
+        typer.Option(min=1, help="Make this many of the kept runs again, and compare the figures."),
     ] = None,
 ) -> None:
     """Repeat a paper's experiments over many seeds, and compare with its figures and the truth.
