@@ -6,7 +6,15 @@ from renderers import DEEP, make_renderer, still
 
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.ultrasound.simulation import Ball, Tissue, load_tissue
+from sonoservo.systems.ultrasound.simulation.kernels.blocks import scatterer_tile
 from sonoservo.systems.ultrasound.simulation.tissue import Fibre, RandomBalls, RandomFibres
+
+
+def test_blocks_of_a_tile_have_the_scatterers_of_a_poisson_process():
+    tile = scatterer_tile(2.5e9, np.random.default_rng(1))
+    counts = np.diff(tile.starts)
+    assert counts.mean() == pytest.approx(2.5e9 * tile.block_size**3, rel=0.02)
+    assert counts.var() == pytest.approx(counts.mean(), rel=0.25)
 
 
 def test_random_balls_have_the_stated_density_radii_and_levels():
