@@ -7,24 +7,19 @@ import pytest
 from sonoservo.systems.files.writing import Unwritten, write_atomically, write_json
 
 
-def test_writes_text_and_bytes_into_a_new_folder(tmp_path):
-    path = tmp_path / "new" / "file"
-    assert write_atomically(path, "µ").read_bytes() == "µ".encode()
-    assert write_atomically(path, b"\x00").read_bytes() == b"\x00"
-    assert os.listdir(path.parent) == ["file"]
-
-
 def test_a_failure_leaves_the_old_file_and_nothing_else(tmp_path, monkeypatch):
-    path = write_atomically(tmp_path / "file", "old")
+    path = write_atomically(tmp_path / "new" / "file", b"old")
 
     def interrupt(*_):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(os, "replace", interrupt)
     with pytest.raises(KeyboardInterrupt):
-        write_atomically(path, "new")
+        write_atomically(path, "µ")
     assert path.read_text() == "old"
-    assert os.listdir(tmp_path) == ["file"]
+    assert os.listdir(path.parent) == ["file"]
+    monkeypatch.undo()
+    assert write_atomically(path, "µ").read_bytes() == "µ".encode()
 
 
 def test_json_has_numpy_s_numbers_and_null_for_what_is_not_finite(tmp_path):

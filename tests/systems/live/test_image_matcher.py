@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from live_items import X, make_volume
+from live_items import make_volume
 from pydrake.math import RigidTransform, RotationMatrix
 
 from sonoservo.systems.live.connection.items import ImageItem, PoseItem, TextItem
@@ -38,7 +38,25 @@ def test_image_waits_for_the_pose_after_it_and_has_the_one_between(matcher):
     assert matcher.posed
 
 
-def test_image_does_not_wait_for_ever(matcher, lines):
+def test_poses_are_sorted_and_bridged_along_the_shortest_turn(matcher):
+    """One comes twice, after one that is later."""
+    for time, x, turn in ((1.0, 0.0, 3.0), (1.3, 7.0, 0.0), (1.2, 5.0, 1.0), (1.2, 0.1, -3.0)):
+        X_WL = RigidTransform(RotationMatrix.MakeZRotation(turn), [x, 0, 0])
+        matcher.feed(PoseItem("ProbeToReference", time, X_WL), 0.0)
+    (posed,) = matcher.feed(image(1.1), 0.0)
+    halfway = RigidTransform(RotationMatrix.MakeZRotation(np.pi), [0.05, 0, 0])
+    assert posed.X_WL.IsNearlyEqualTo(halfway, 1e-9)
+
+
+def test_poses_whose_clock_is_set_back_begin_anew(matcher):
+    matcher.feed(pose(1000.0), 0.0)
+    matcher.feed(pose(1.0), 0.1)
+    assert matcher.feed(image(1.02), 0.12) == []
+    (posed,) = matcher.feed(pose(1.04, 0.2), 0.14)
+    np.testing.assert_allclose(posed.X_WL.translation(), [0.1, 0, 0], atol=1e-9)
+
+
+def test_image_does_not_wait_for_ever_and_poses_far_apart_are_not_bridged(matcher, lines):
     matcher.feed(pose(1.0), 0.0)
     assert matcher.feed(image(1.03), 0.03) == []
     assert len(matcher.release(0.2)) == 1
@@ -46,6 +64,9 @@ def test_image_does_not_wait_for_ever(matcher, lines):
     assert matcher.release(1.2) == []
     assert matcher.left_out == {LeftOut.NO_POSE: 1}
     assert "the nearest pose is 1.000 s away" in lines[-1]
+    matcher.feed(pose(4.0), 3.0)
+    assert matcher.feed(image(2.5), 3.0) == []
+    assert matcher.left_out == {LeftOut.NO_POSE: 2}
 
 
 def test_without_poses_the_probe_is_at_rest(lines):
@@ -186,17 +207,6 @@ def test_clock_that_is_set_anew_goes_on(restart, lines):
     np.testing.assert_allclose([p.time for p in out], [1000.0, 1000.3, 1000.6, 1000.9])
     assert [p.image.time for p in out] == stamps
     assert "clock jumped" in lines[-1]
-
-
-def test_scanner_of_this_package_tells_the_pose_exactly():
-    matcher = ImageMatcher()
-    volume = make_volume(1000.3)
-    text, _, picture = volume_items(volume, settings={"tracker_seed": 7})
-    matcher.feed(text, 0.0)
-    (posed,) = matcher.feed(picture, 0.0)
-    assert posed.X_WL.IsExactlyEqualTo(X)
-    assert posed.time == 1000.3
-    assert posed.acquisition.settings == {"tracker_seed": 7}
 
 
 @pytest.mark.parametrize(

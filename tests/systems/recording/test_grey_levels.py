@@ -24,13 +24,3 @@ def test_window_follows_a_first_volume_of_other_brightness(first):
         levels = grey(ECHOES)
     assert (levels == 255).mean() < 0.02
     assert levels.max() > 200
-
-
-def test_window_stays_while_something_is_tracked_and_where_it_is_given():
-    held, given = GreyLevels(), GreyLevels((0, 2000))
-    for grey in (held, given):
-        grey(ECHOES)
-    held.held, windows = True, (held.window, given.window)
-    for grey in (held, given):
-        grey((4 * ECHOES).astype(np.int16))
-    assert (held.window, given.window) == windows

@@ -3,6 +3,7 @@
 import gzip
 import re
 import zlib
+from itertools import permutations, product
 from pathlib import Path
 
 import numpy as np
@@ -38,6 +39,7 @@ SPACES = {
     "Left-Anterior-Superior": (1, -1, 1),
 }
 UNITS = {"mm": 1.0, "cm": 10.0, "m": 1e3, "um": 1e-3}
+LETTERS = ["".join(each) for xyz in product("MU", "FN", "AD") for each in permutations(xyz)]
 AXES = {"M": (0, 1), "U": (0, -1), "F": (1, 1), "N": (1, -1), "A": (2, 1), "D": (2, -1)}
 
 
@@ -187,24 +189,22 @@ def check_nrrd(folder, case):
         # The sound goes along Y of the probe, and so where it was said to go.
         axes = dict(zip("LPSRAI", [*np.eye(3), *-np.eye(3)], strict=True))
         assert volume.X_WP.rotation().matrix()[:, 1] @ axes[depth] > 0.5
-    no_unit = not any(unit in "\n".join(lines) for unit in ('"cm"', '"m"', '"um"'))
-    if plain and no_unit and not sequence and "LIST" not in lines and "%" not in "".join(lines):
+    # ITK knows neither other units nor axis maxs nor names that are not ASCII.
+    header = "\n".join(lines)
+    strange = any(word in header for word in ('"cm"', '"m"', '"um"', "axis maxs", "ä"))
+    if plain and not sequence and not strange:
         referee(path, recording[0])
 
 
 def referee(path, volume):
     """Ask SimpleITK where the brightest voxel lies."""
-    if any(ord(letter) > 127 for letter in path.read_text(encoding="latin-1").split("\n\n")[0]):
-        return
     image = SimpleITK.ReadImage(str(path))
     numbers = SimpleITK.GetArrayFromImage(image).T
     brightest = np.unravel_index(numbers.argmax(), numbers.shape)
     ours = np.unravel_index(volume.intensities.argmax(), volume.intensities.shape)
     place = 1e3 * volume.to_world(volume.position([ours]))[0][0]
     told = image.TransformIndexToPhysicalPoint(tuple(map(int, brightest)))
-    header = path.read_text(encoding="latin-1")
-    if "space directions" in header or "spacings" in header:  # ITK does not know axis maxs
-        np.testing.assert_allclose(place, told, atol=1e-6)
+    np.testing.assert_allclose(place, told, atol=1e-6)
 
 
 @st.composite
@@ -213,16 +213,16 @@ def meta_files(draw):
     code, order = draw(st.sampled_from(sorted(META_TYPES))), draw(st.sampled_from("<>"))
     unit, count = draw(st.sampled_from(["mm", "cm", "um"])), draw(st.sampled_from([1, 2]))
     n = 3 if count == 1 else 4
-    letters = draw(st.sampled_from(["", *(x + y + z for x in "MU" for y in "FN" for z in "AD")]))
-    stored = array
-    if letters:  # the geometry is that of the image as PLUS turns it
-        stored = array[tuple(slice(None, None, AXES[letter][1]) for letter in letters)]
+    letters = "MFA" if draw(st.booleans()) else draw(st.sampled_from(LETTERS))
+    axes, signs = zip(*(AXES[letter] for letter in letters), strict=True)
+    # The geometry is that of the image as PLUS turns it, but for the sizes of a voxel.
+    stored = array.transpose(axes)[tuple(slice(None, None, sign) for sign in signs)]
     stack = stored if count == 1 else np.stack([stored] * count, axis=-1)
     steps = np.linalg.norm(directions, axis=0)
     matrix = np.eye(n)
     matrix[:3, :3] = (directions / steps).T
     spacing, place = np.ones(n), np.zeros(n)
-    spacing[:3], place[:3] = steps / UNITS[unit], origin / UNITS[unit]
+    spacing[:3], place[:3] = steps[list(axes)] / UNITS[unit], origin / UNITS[unit]
     if count > 1:
         spacing[3] = 0.5
     names = draw(st.sampled_from([("Offset", "TransformMatrix", "ElementSpacing"),
@@ -236,7 +236,8 @@ def meta_files(draw):
              "AnatomicalOrientation = RAI"]  # fmt: skip
     if unit != "mm":
         lines.append(f"DistanceUnits = {unit}")
-    if letters:
+    plain = letters == "MFA" and unit == "mm"
+    if not plain:
         lines.append(f"UltrasoundImageOrientation = {letters}")
     data = packed(stack, code, order)
     where = draw(st.sampled_from(["local", "beside", "list", "pattern", "last bytes", "header"]))
@@ -256,7 +257,7 @@ def meta_files(draw):
     elif where != "local":
         files, source = {"ä.raw": (b"" if where == "beside" else b"before") + data}, "ä.raw"
         lines += {"last bytes": ["HeaderSize = -1"], "header": ["HeaderSize = 6"]}.get(where, [])
-    return [*lines, f"ElementDataFile = {source}"], files, R, count, not letters and unit == "mm"
+    return [*lines, f"ElementDataFile = {source}"], files, R, count, plain
 
 
 def check_meta(folder, case):
@@ -271,12 +272,7 @@ def check_meta(folder, case):
     for volume in recording:
         assert_same(volume, R)
     if plain and count == 1 and path.suffix == ".mha":
-        image = SimpleITK.ReadImage(str(path))
-        numbers = SimpleITK.GetArrayFromImage(image).T
-        at = np.unravel_index(numbers.argmax(), numbers.shape)
-        place = np.array(image.TransformIndexToPhysicalPoint(tuple(map(int, at))))
-        own = np.unravel_index(GREY.argmax(), SHAPE)
-        np.testing.assert_allclose(place, R @ (ORIGIN + STEPS * own), atol=1e-6)
+        referee(path, recording[0])
 
 
 CASES = {"nrrd": (nrrd_files(), check_nrrd), "meta": (meta_files(), check_meta)}
@@ -299,21 +295,6 @@ def test_a_volume_comes_back_however_it_is_stored(tmp_path, name, examples):
         check(tmp_path, case)
 
     run()
-
-
-@pytest.mark.parametrize("letters", ["MFA", "UND", "FMA", "DUN"])
-def test_axes_named_by_plus_are_put_in_order(tmp_path, letters):
-    """However PLUS stores a volume, spacing and place are those of MFA."""
-    axes, signs = zip(*(AXES[letter] for letter in letters), strict=True)
-    stored = GREY.transpose(axes)[tuple(slice(None, None, sign) for sign in signs)]
-    sizes, steps = (" ".join(map(str, each)) for each in (stored.shape, STEPS[list(axes)]))
-    lines = ["NDims = 3", f"DimSize = {sizes}", "ElementType = MET_UCHAR",
-             f"ElementSpacing = {steps}", "Offset = -20 5 -30",
-             f"UltrasoundImageOrientation = {letters}", "ElementDataFile = LOCAL", ""]  # fmt: skip
-    path = tmp_path / "a.mha"
-    path.write_bytes("\n".join(lines).encode() + packed(stored, "u1", "<"))
-    (volume,) = Recording(path)
-    assert_same(volume, np.eye(3))
 
 
 @pytest.mark.parametrize("suffix", ["igs.mha", "igs.nrrd"])

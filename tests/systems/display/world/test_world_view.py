@@ -66,47 +66,38 @@ def scale(meshcat, path):
 
 
 def test_the_needle_is_where_it_is(meshcat):
+    """A bent one in pieces, a straight one whole, and what is outside is known or guessed."""
     view = WorldView(meshcat=meshcat, path="truth")
     publish(view, 0.0, RigidTransform(), needle=OUTSIDE)
     assert not visible(meshcat, "truth/needle/inside")
     assert not visible(meshcat, "truth/needle/tip")
-    publish(view, 1.0, RigidTransform(), needle=NEEDLE)
+    corner = [[0, 0, -0.04], [0.03, 0, -0.04], [0.03, 0.03, -0.04]]
+    shaft = np.concatenate([np.linspace(*corner[:2], 20), np.linspace(*corner[1:], 20)])
+    publish(view, 1.0, RigidTransform(), needle=Needle(shaft, 6e-4))
+    for number in range(6):
+        along = 0.01 * (number + 0.5)
+        middle = [along, 0, -0.04] if along < 0.03 else [0.03, along - 0.03, -0.04]
+        X = transform(meshcat, f"truth/needle/inside/{number}")
+        np.testing.assert_allclose(X[:3, 3], X_WT.multiply(middle), atol=1e-9)
+        assert scale(meshcat, f"truth/needle/inside/{number}/unit") == pytest.approx(0.01)
+    publish(view, 2.0, RigidTransform(), needle=NEEDLE)
     assert visible(meshcat, "truth/needle/inside")
-    X = transform(meshcat, "truth/needle/inside/0")
-    np.testing.assert_allclose(X[:3, 3], X_WT.multiply([0.03, 0.0, -0.04]), atol=1e-12)
-    np.testing.assert_allclose(X[:3, 2], X_WT.rotation().matrix()[:, 0], atol=1e-12)
-    assert scale(meshcat, "truth/needle/inside/0/unit") == pytest.approx(0.06)
     assert visible(meshcat, "truth/needle/tip")
-    tip = transform(meshcat, "truth/needle/tip")
-    np.testing.assert_allclose(tip[:3, 3], X_WT.multiply([0.06, 0.0, -0.04]), atol=1e-12)
-    for number in range(1, 6):
-        assert scale(meshcat, f"truth/needle/inside/{number}/unit") < 1e-5
-    outside = transform(meshcat, "truth/needle/outside/0")
-    np.testing.assert_allclose(outside[:3, 3], X_WT.multiply([-0.045, 0, -0.04]), atol=1e-12)
+    lengths = [scale(meshcat, f"truth/needle/inside/{number}/unit") for number in range(6)]
+    np.testing.assert_allclose(lengths, [0.06, 0, 0, 0, 0, 0], atol=1e-5)
+    X = transform(meshcat, "truth/needle/inside/0")
+    np.testing.assert_allclose(X[:3, 2], X_WT.rotation().matrix()[:, 0], atol=1e-12)
+    for path, x in {"inside/0": 0.03, "tip": 0.06, "outside/0": -0.045}.items():
+        X = transform(meshcat, f"truth/needle/{path}")
+        np.testing.assert_allclose(X[:3, 3], X_WT.multiply([x, 0, -0.04]), atol=1e-12)
     waiting = Needle(np.zeros((0, 3)), 6e-4, [[-0.01, 0, -0.04], [0.5, 0, -0.04]])
-    publish(view, 2.0, RigidTransform(), needle=waiting)
+    publish(view, 3.0, RigidTransform(), needle=waiting)
     assert not visible(meshcat, "truth/needle/inside")
     outside = transform(meshcat, "truth/needle/outside/0")
     np.testing.assert_allclose(outside[:3, 3], X_WT.multiply([-0.085, 0, -0.04]), atol=1e-12)
     assert scale(meshcat, "truth/needle/outside/0/unit") == pytest.approx(0.15)
-    publish(view, 3.0, RigidTransform(), needle=OUTSIDE)
+    publish(view, 4.0, RigidTransform(), needle=OUTSIDE)
     assert not visible(meshcat, "truth/needle/outside")
-
-
-def test_a_bent_needle_is_drawn_in_pieces_and_straight_again(meshcat):
-    view = WorldView(meshcat=meshcat, path="bent")
-    corner = [[0, 0, -0.04], [0.03, 0, -0.04], [0.03, 0.03, -0.04]]
-    shaft = np.concatenate([np.linspace(*corner[:2], 20), np.linspace(*corner[1:], 20)])
-    publish(view, 0.0, RigidTransform(), needle=Needle(shaft, 6e-4))
-    for number in range(6):
-        along = 0.01 * (number + 0.5)
-        middle = [along, 0, -0.04] if along < 0.03 else [0.03, along - 0.03, -0.04]
-        X = transform(meshcat, f"bent/needle/inside/{number}")
-        np.testing.assert_allclose(X[:3, 3], X_WT.multiply(middle), atol=1e-9)
-        assert scale(meshcat, f"bent/needle/inside/{number}/unit") == pytest.approx(0.01)
-    publish(view, 1.0, RigidTransform(), needle=NEEDLE)
-    lengths = [scale(meshcat, f"bent/needle/inside/{number}/unit") for number in range(6)]
-    np.testing.assert_allclose(lengths, [0.06, 0, 0, 0, 0, 0], atol=1e-5)
 
 
 def test_the_estimate_shows_its_mode(meshcat, make_volume):

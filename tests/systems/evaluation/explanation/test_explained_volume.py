@@ -37,20 +37,18 @@ def test_all_that_was_looked_at_is_kept():
     (attempt,) = account.attempts
     before, after = estimate(-0.3, COASTING), estimate(volume.time)
     kept = explain_volume(volume, account, before=before, after=after, occasion="coasting to")
-    assert (kept.mode_before, kept.mode_after) == ("coasting", "tracking")
-    assert kept.attempt_reasons.tolist() == [""]
-    assert (kept.innovation, kept.gate, kept.volume_time) == (1.5, 5.3, volume.time)
-    np.testing.assert_array_equal(kept.predicted, NEEDLE)
-    np.testing.assert_array_equal(kept.measured, account.measurement.curve.control_points)
-    np.testing.assert_array_equal(kept.before, before.curve.control_points)
-    covariance = account.measurement.covariance[3:, 3:]
-    np.testing.assert_array_equal(kept.measured_tip_covariance, covariance)
+    wanted = {
+        "mode_before": "coasting", "mode_after": "tracking", "attempt_reasons": [""],
+        "innovation": 1.5, "gate": 5.3, "volume_time": volume.time, "contrast": 3.0,
+        "predicted": NEEDLE, "measured": account.measurement.curve.control_points,
+        "before": before.curve.control_points, "region_radius": attempt.region.radius,
+        "measured_tip_covariance": account.measurement.covariance[3:, 3:],
+        "inliers": attempt.inliers, "profile_level": attempt.profile.level,
+        "start": attempt.extent.start, "tip": attempt.extent.tip,
+    }  # fmt: skip
+    for name, value in wanted.items():
+        np.testing.assert_array_equal(getattr(kept, name), value, err_msg=name)
     np.testing.assert_allclose(kept.candidates, attempt.candidates, atol=1e-8)
-    np.testing.assert_array_equal(kept.inliers, attempt.inliers)
-    np.testing.assert_array_equal(kept.profile_level, attempt.profile.level)
-    assert (kept.start, kept.tip) == (attempt.extent.start, attempt.extent.tip)
-    assert kept.contrast == 3.0
-    assert kept.region_radius == attempt.region.radius
     # The slices go through the measured needle, which is bright in both.
     assert kept.sliced == "measured"
     for name in ("beam", "cross"):

@@ -1,9 +1,8 @@
 import struct
 
-import numpy as np
 import pytest
 from live_items import X, decode_all
-from pyigtl.messages import CRC64, StringMessage
+from pyigtl.messages import StringMessage
 
 from sonoservo.systems.live.connection.framing import (
     HEADER_SIZE,
@@ -11,18 +10,10 @@ from sonoservo.systems.live.connection.framing import (
     Framer,
     FramingError,
     MessageError,
-    crc64,
     pack_frame,
 )
 from sonoservo.systems.live.connection.items import PoseItem, TextItem
 from sonoservo.systems.live.connection.open_igt_link import encode, make_framer
-
-
-@pytest.mark.parametrize("size", [0, 7, 8, 1001])
-def test_checksum_is_that_of_pyigtl(size):
-    data = np.random.default_rng(size).bytes(size)
-    assert crc64(data) == CRC64(data)
-    assert crc64(data[size // 3 :], crc64(data[: size // 3])) == CRC64(data)
 
 
 @pytest.mark.parametrize(("name", "time"), [("", 0), ("n" * 21, 0), ("n", -1), ("n", 2.0**32)])
@@ -42,7 +33,7 @@ def test_unknown_types_are_skipped_without_being_stored(kind):
     framer = make_framer()
     data = pack_frame(kind, "V", 0, bytes(3_000_000)) + encode(PoseItem("P", 1, X))
     assert [item.name for item in decode_all(data, framer=framer)] == ["P"]
-    head = pack_frame("VIDEO", "V", 0, bytes(200_000_000))[:HEADER_SIZE]
+    head = pack_frame("VIDEO", "V", 0, bytes(20_000_000))[:HEADER_SIZE]
     framer.buffer[:HEADER_SIZE] = head
     assert list(framer.advance(HEADER_SIZE, 0)) == []
     assert len(framer.buffer) < 1 << 20
@@ -74,19 +65,6 @@ def test_header_that_makes_no_sense_ends_the_connection(field, value, message):
         decode_all(bytes(data))
 
 
-def test_memory_is_reserved_as_bytes_arrive():
-    framer = Framer({"IMAGE": MAX_BODY})
-    head = struct.pack("> H 12s 20s I I Q Q", 1, b"IMAGE", b"I", 0, 0, MAX_BODY, 0)
-    framer.buffer[:] = head
-    assert list(framer.advance(HEADER_SIZE, 0)) == []
-    assert framer.held <= 1 << 20
-    came = 0
-    for _ in range(40):
-        came += len(framer.buffer)
-        list(framer.advance(len(framer.buffer), 0))
-    assert framer.held <= 2 * came
-
-
 def test_body_that_is_too_large_costs_itself():
     framer = Framer({"STRING": 100})
     data = pack_frame("STRING", "T", 0, bytes(101)) + encode(TextItem("T", 0, "next"))
@@ -112,14 +90,6 @@ def test_wrong_extended_header_is_left_out(body):
     data[1] = 2
     with pytest.raises(MessageError, match="extended header"):
         decode_all(bytes(data))
-
-
-def test_message_that_does_not_go_on_is_overdue():
-    framer = make_framer()
-    assert not framer.is_overdue(1e9)
-    list(framer.advance(1, 0.0))
-    assert not framer.is_overdue(4.0)
-    assert framer.is_overdue(6.0)
 
 
 def test_header_of_a_large_message_buys_no_time():

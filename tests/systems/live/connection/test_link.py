@@ -5,13 +5,13 @@ from contextlib import ExitStack, suppress
 import numpy as np
 import pyigtl
 import pytest
-from live_items import X, make_volume, wait_until
+from live_items import make_volume, wait_until
 from openigtlink import free_port
 
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.live import Link, LiveSource, parse_address
 from sonoservo.systems.live.connection import framing, link
-from sonoservo.systems.live.connection.items import PoseItem, TextItem
+from sonoservo.systems.live.connection.items import TextItem
 from sonoservo.systems.live.connection.open_igt_link import encode
 from sonoservo.systems.live.feeds import volume_items
 
@@ -79,17 +79,6 @@ def test_wrong_address_is_refused(text, message):
 def test_port_that_is_taken_is_one_line(server, ear):
     with pytest.raises(OSError, match=rf"igtl://:{server.port}: cannot listen there: Address"):
         ear.open(f"igtl://:{server.port}").start()
-
-
-def test_messages_go_both_ways(server, ear):
-    other = Ear()
-    with other.open(f"igtl://localhost:{server.port}") as client:
-        wait_until(lambda: server.peers and client.peers)
-        server.send([TextItem("A", 1.0, "down")])
-        client.send([PoseItem("B", 2.0, X), TextItem("C", 2.0, "up")])
-        wait_until(lambda: other.items and len(ear.items) == 2)
-    assert other.items[0].text == "down"
-    assert [item.name for item in ear.items] == ["B", "C"]
 
 
 def test_lost_connection_is_taken_up_again(ear):

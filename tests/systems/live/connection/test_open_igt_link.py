@@ -44,24 +44,6 @@ ITEMS = [
 ]
 
 
-def assert_same(item, other):
-    assert type(item) is type(other)
-    assert (item.name, item.time) == (other.name, other.time)
-    for field, value in vars(item).items():
-        if isinstance(value, RigidTransform):
-            assert value.IsNearlyEqualTo(other.X, 1e-6)
-        elif isinstance(value, np.ndarray):
-            np.testing.assert_allclose(getattr(other, field), value, rtol=1e-6, atol=1e-9)
-        else:
-            assert getattr(other, field) == value
-
-
-@pytest.mark.parametrize("item", ITEMS, ids=lambda item: type(item).__name__)
-def test_item_comes_back(item):
-    (other,) = decode_all(encode(item))
-    assert_same(item, other)
-
-
 @pytest.mark.parametrize("dtype", ["u1", "<i2", "<f8"])
 @pytest.mark.parametrize("system", ["lps", "ras"])
 def test_image_of_pyigtl_in_every_type_and_either_coordinate_system(dtype, system):

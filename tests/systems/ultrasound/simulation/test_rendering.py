@@ -57,7 +57,7 @@ def test_frames_begun_in_the_background_are_the_same_and_rendered_once(direction
 
     monkeypatch.setattr(FrameRenderer, "grey_levels", grey_levels)
     needle = needle_through([0, 0, -0.15], 0.3, 0.0)
-    renderer = make_renderer()
+    renderer = make_renderer(sector=0.2)
     frames = sweep_frames(renderer, needle, 1e-5, direction)
     expected = render(renderer, frames)
     groups = renderer.groups(direction)
@@ -70,7 +70,7 @@ def test_frames_begun_in_the_background_are_the_same_and_rendered_once(direction
 
 @pytest.mark.parametrize("changed", ["pose", "needle", "number"])
 def test_frames_begun_for_another_sweep_are_not_used(changed):
-    renderer = make_renderer()
+    renderer = make_renderer(sector=0.2)
     needle = needle_through([0, 0, -0.15], 0.3, 0.0)
     frames = sweep_frames(renderer, needle, 0.0, 1)
     expected = render(renderer, frames)
@@ -89,7 +89,8 @@ def test_what_is_kept_of_a_needle_at_rest_does_not_show():
     lying = needle_through([-0.038, -0.012, -0.15], 0.3, 0.0)  # its tip is in the middle
     withdrawn = replace(lying, shaft=lying.shaft - [0.004, 0, 0])
     echo = NeedleEchoParameters(tip="bevel", fading_db=3.0)
-    renderer = make_renderer(needle=echo, track_db=0.0, sector=0.2)
+    few = {"sector": 0.2, "frames": 5}
+    renderer = make_renderer(needle=echo, track_db=0.0, **few)
     sweeps = [
         (lying, 0.0),
         (lying, 0.0),
@@ -102,26 +103,35 @@ def test_what_is_kept_of_a_needle_at_rest_does_not_show():
     ]
     shown = []
     for needle, time in sweeps:
-        arguments = still(renderer), [needle] * 27, 1, 0, np.full(27, time)
-        fresh = make_renderer(needle=echo, track_db=0.0, sector=0.2)
+        arguments = still(renderer), [needle] * 5, 1, 0, np.full(5, time)
+        fresh = make_renderer(needle=echo, track_db=0.0, **few)
         shown.append(renderer.render(*arguments))
         assert (shown[-1] == fresh.render(*arguments)).all()
     assert [bool((a != b).any()) for a, b in pairwise(shown)] == [False, *[True] * 6]
 
 
-# Across a limb: X_P along Y_T, the face 1 mm above the apex.
-ACROSS = np.array([[0, 0, 1, 0], [1, 0, 0, 0], [0, -1, 0, 1e-3], [0, 0, 0, 1.0]])
+# Lengths, and poses of a face 1 mm above the apex: X_P along Y_T on a limb, along X_T on a ball.
 RADIUS = 0.06
+BODIES = {
+    "cylinder": (0.3, [[0, 0, 1, 0], [1, 0, 0, 0], [0, -1, 0, 1e-3], [0, 0, 0, 1.0]]),
+    "ellipsoid": (2 * RADIUS, [[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 1e-3], [0, 0, 0, 1.0]]),
+}
 FEW = {"frames": 3, "volume_rate": 10.0, "frame_pitch_deg": 0.1}
-LIMB = Tissue(size=[0.3, 2 * RADIUS, 2 * RADIUS], shape="cylinder", seed=1)
+
+
+@pytest.fixture(params=BODIES)
+def curved(request):
+    length, X_TP = BODIES[request.param]
+    size = [length, 2 * RADIUS, 2 * RADIUS]
+    return Tissue(size=size, shape=request.param, seed=1), np.array(X_TP)
 
 
 def first_paths(renderer):
-    """The way along each line of the middle frame from the face to the limb, in closed form."""
+    """The way along each line of the middle frame from the face to the body, in closed form."""
     geometry = renderer.geometry
     middle = geometry.frames // 2
     angles = geometry.line_pitch * (np.arange(geometry.lines) - (geometry.lines - 1) / 2)
-    # In the plane across the limb, with the origin on its axis.
+    # In the plane across it, with the origin on its axis.
     height = RADIUS + 1e-3 + geometry.array_radius * (1 - np.cos(angles))
     origin = np.stack([geometry.array_radius * np.sin(angles), height])
     along = np.stack([np.sin(angles), -np.cos(angles)])
@@ -130,10 +140,11 @@ def first_paths(renderer):
     return middle, np.where(root > 0, -b - np.sqrt(np.maximum(root, 0)), np.inf)
 
 
-def test_echoes_begin_at_the_curved_skin():
-    renderer = make_renderer(LIMB, **FEW)
+def test_echoes_begin_at_the_curved_skin(curved):
+    tissue, X_TP = curved
+    renderer = make_renderer(tissue, **FEW)
     middle, paths = first_paths(renderer)
-    envelope = np.abs(renderer.tissue_echo(still(renderer, ACROSS), 1)[middle])
+    envelope = np.abs(renderer.tissue_echo(still(renderer, X_TP), 1)[middle])
     depths = renderer.geometry.sample_pitch * np.arange(renderer.geometry.samples)
     lines = slice(10, -10, 5)  # the beam is wider than a line
     seen = [float(depths[np.argmax(line > 0.3)]) for line in envelope[lines]]
@@ -143,10 +154,11 @@ def test_echoes_begin_at_the_curved_skin():
     assert np.ptp(paths[lines]) > 5e-3
 
 
-def test_only_lines_that_the_gel_reaches_are_coupled():
-    renderer = make_renderer(LIMB, **FEW, sector=1.0)
+def test_only_lines_that_the_gel_reaches_are_coupled(curved):
+    tissue, X_TP = curved
+    renderer = make_renderer(tissue, **FEW, sector=1.0)
     middle, paths = first_paths(renderer)
-    grey = renderer.render(still(renderer, ACROSS), [NOWHERE] * 3, 1, 0)[middle].astype(float)
+    grey = renderer.render(still(renderer, X_TP), [NOWHERE] * 3, 1, 0)[middle].astype(float)
     level = grey[:, 60:160].mean(axis=1)
     assert (level[paths < 3e-3] > 60).all()
     assert (level[paths > 3.7e-3] < 30).all()
@@ -162,7 +174,7 @@ def test_a_curved_body_takes_no_layers_of_a_box():
 
 
 def test_nothing_echoes_outside_the_phantom():
-    renderer = make_renderer(Tissue(size=[0.24, 0.16, 0.05]), sector=0.3)
+    renderer = make_renderer(Tissue(size=[0.24, 0.16, 0.05]), sector=0.3, frames=9)
     pose = DOWN.copy()
     pose[2, 3] = -0.004
     echo = np.abs(renderer.tissue_echo(still(renderer, pose), 1))

@@ -64,18 +64,6 @@ def test_a_sweep_appears_when_its_last_frame_ends():
     assert sweep() is first
 
 
-def test_sweeps_alternate_and_frames_are_numbered_towards_z():
-    scanner = make_scanner()
-    simulator, sweep = run(scanner)
-    step = scanner.geometry.frame_period
-    for number, direction in enumerate((1, -1, 1)):
-        simulator.AdvanceTo((number + 1.1) * scanner.geometry.period)
-        motion = sweep().motion
-        assert motion.direction == direction
-        acquired = step * (5 * number + np.arange(5))
-        assert motion.times == pytest.approx(acquired[::direction], abs=1e-9)
-
-
 def test_every_frame_has_its_own_needle():
     """The needle is there from the third frame on."""
     scanner = make_scanner()

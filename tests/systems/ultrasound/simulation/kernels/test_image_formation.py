@@ -6,17 +6,7 @@ import pytest
 from sonoservo.systems.ultrasound.simulation.kernels.image_formation import (
     add_haze,
     compress,
-    coupling,
 )
-
-
-def test_coupling_measures_the_way_along_the_line():
-    box = np.array([[-0.1, -0.1, -0.1], [0.1, 0.1, 0.0]])
-    origins = np.array([[0, 0, 0.002], [0, 0, 0.002], [0, 0, -0.01], [0.2, 0, 0.002]])
-    slanted = np.array([np.sqrt(0.75), 0, -0.5])  # twice as far: 4 mm
-    down = np.array([0, 0, -1.0])
-    share = coupling(np.eye(4)[:3], origins, np.array([down, slanted, down, down]), box, 3e-3)
-    assert share.tolist() == [1, 0, 1, 0]
 
 
 def test_grey_levels_are_rounded_to_nearest():

@@ -57,38 +57,24 @@ def medium(ratio, tilt=0.0, thickness=0.015):
     )
 
 
-@pytest.mark.parametrize(("ratio", "angle_deg"), [(1450 / 1540, 10), (1600 / 1540, 30)])
-def test_rays_bend_by_snells_law(ratio, angle_deg):
-    """sin(b) / sin(a) = c_tissue / c_fat, between two points behind the face."""
-    fat, phi = medium(ratio, tilt=0.1), np.deg2rad(angle_deg)
-    ray = np.array([np.sin(phi), np.cos(phi), 0])
-    centre = np.array([0, -0.01275, 0])
-    near, far = (
-        np.array(true_position(*(centre + (0.04 + d) * ray), fat, 0)) for d in (0.05, 0.08)
-    )
-    bent = (far - near) / np.linalg.norm(far - near)
-    normal = fat.normals[0]
-    sines = [np.linalg.norm(np.cross(each, normal)) for each in (ray, bent)]
-    assert sines[1] == pytest.approx(sines[0] / ratio, abs=1e-9)
-    # Speed in the tissue is the scanner's.
-    assert np.linalg.norm(far - near) == pytest.approx(0.03, rel=1e-9)
-
-
-def test_way_through_fat_takes_the_least_time():
+@pytest.mark.parametrize(
+    ("ratio", "angle_deg", "tilt"),
+    [(1450 / 1540, 25, 0.0), (1450 / 1540, 10, 0.1), (1600 / 1540, 30, 0.1)],
+)
+def test_way_through_fat_takes_the_least_time(ratio, angle_deg, tilt):
     """Fermat: any other point of the face would take longer; the time is the apparent depth's."""
-    ratio, depth = 1450 / 1540, 0.06
-    fat, phi = medium(ratio), np.deg2rad(25)
-    face = np.array([0.04 * np.sin(phi), 0.04 * np.cos(phi) - 0.01275])
+    fat, phi, depth = medium(ratio, tilt), np.deg2rad(angle_deg), 0.06
+    start = np.array([0.04 * np.sin(phi), 0.04 * np.cos(phi) - 0.01275])
     ray = np.array([np.sin(phi), np.cos(phi)])
-    end = np.array(true_position(*(face + depth * ray), 0.0, fat, 0))[:2]
-    height = fat.offsets[0]
+    end = np.array(true_position(*(start + depth * ray), 0.0, fat, 0))[:2]
+    normal = fat.normals[0, :2]
+    along = np.array([normal[1], -normal[0]])
 
-    def time(x):
-        return np.hypot(x - face[0], height - face[1]) / ratio + np.hypot(
-            end[0] - x, end[1] - height
-        )
+    def time(s):
+        point = fat.offsets[0] * normal + s * along
+        return np.linalg.norm(point - start) / ratio + np.linalg.norm(end - point)
 
-    least = minimize_scalar(time, bounds=(face[0], end[0]), method="bounded").fun
+    least = minimize_scalar(time, bounds=(start @ along, end @ along), method="bounded").fun
     assert least == pytest.approx(depth, abs=1e-7)
 
 

@@ -118,13 +118,6 @@ def test_fading_has_its_strength_its_length_and_its_period():
     assert correlation(levels[:, :-6], levels[:, 6:]) == pytest.approx(0.607, abs=0.1)
 
 
-def test_faded_needle_changes_in_time_and_an_unfaded_one_does_not():
-    for fading, same in ((0.0, True), (6.0, False)):
-        dials = SILENT | {"fading_db": fading}
-        echoes = [echo(dials, needle(0), time) for time in (0.0, 5.0)]
-        assert np.array_equal(*echoes) == same
-
-
 def test_a_withdrawn_needle_leaves_a_track_of_its_level():
     """Rough, so the same at any angle, and without a shadow; 20 dB here, to stand out."""
     powers = []
