@@ -1,7 +1,6 @@
 """What the console and the world cost a run, and the thread that draws them."""
 
 import os
-import shutil
 import subprocess
 import sys
 import time
@@ -11,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bokeh.document import Document
-from playwright.sync_api import Error, sync_playwright
 from synthetic_volumes import ENTRY, Scene
 
 from sonoservo.diagrams import load_scenario, make_experiment
@@ -105,23 +103,6 @@ def pages_that_draw_nothing(meshcat, console):
             process.wait()
 
 
-@contextmanager
-def chromium(meshcat, console):
-    """A browser that shows the console, and draws it in a process of its own."""
-    with sync_playwright() as playwright:
-        installed = shutil.which("chromium") or shutil.which("chromium-browser")
-        arguments = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader"]
-        try:
-            browser = playwright.chromium.launch(executable_path=installed, args=arguments)
-        except Error:
-            pytest.skip("no Chromium")
-        page = browser.new_page(viewport={"width": 1280, "height": 800})
-        page.goto(console.web_url)
-        page.wait_for_selector("body[data-ready]", state="attached")
-        yield
-        browser.close()
-
-
 def run_once(scenario, meshcat=None, console=None):
     """Wall-clock and processor time in s of a run, not held to real time."""
     if meshcat is not None:
@@ -134,7 +115,7 @@ def run_once(scenario, meshcat=None, console=None):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("watched", [None, pages_that_draw_nothing, chromium])
+@pytest.mark.parametrize("watched", [None, pages_that_draw_nothing])
 def test_a_run_with_a_console(benchmark, watched):
     """With the film for the replay; without a display it is timed in between.
 

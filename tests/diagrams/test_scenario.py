@@ -46,13 +46,16 @@ def test_a_file_of_ones_own_and_the_whole_of_it_read_back(tmp_path):
 def test_the_tracker_is_chosen_by_name(tmp_path):
     changes = ["tracker=zhao2012", "tracker.velocimeter=speckle"]
     changes += ["tracker.velocimeter.min_correlation=0.4"]
+    changes += ["tracker.filter.turning=1e-4"]
     scenario = load_scenario("chatelain2013_fig5", changes=changes)
     assert isinstance(scenario.tracker, Zhao2012TrackerParameters)
     assert scenario.tracker.velocimeter.min_correlation == 0.4
-    assert scenario.tracker.filter == AxisTipFilter()
+    assert scenario.tracker.filter == AxisTipFilter(turning=1e-4)
     path = tmp_path / "mine.yaml"
     path.write_text(scenario.to_yaml())
     assert load_scenario(path).tracker == scenario.tracker
+    filtered = load_scenario("chatelain2013_fig5", changes=["tracker.filter=axis_tip"])
+    assert filtered.tracker.filter == AxisTipFilter()
 
 
 def test_as_published_sets_tracker_and_controller_below_the_file_and_the_changes():
@@ -83,14 +86,6 @@ def test_as_published_takes_the_published_form_of_the_chosen_tracker(changes, tm
     path = tmp_path / "mine.yaml"
     path.write_text("tracker: zhao2012\n")
     assert load_scenario(path, as_published=True).tracker == scenario.tracker
-
-
-def test_a_filter_is_chosen_by_name_or_by_its_tracker():
-    changes = ["tracker=zhao2012", "tracker.filter.turning=1e-4"]
-    scenario = load_scenario("chatelain2013_fig5", changes=changes)
-    assert scenario.tracker.filter == AxisTipFilter(turning=1e-4)
-    scenario = load_scenario("chatelain2013_fig5", changes=["tracker.filter=axis_tip"])
-    assert scenario.tracker.filter == AxisTipFilter()
 
 
 @pytest.mark.parametrize(
