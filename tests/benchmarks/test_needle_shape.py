@@ -1,27 +1,13 @@
 """Needle shape prediction per slice: the paper's times, and template matching by others."""
 
-import time
-
-import cv2
 import numpy as np
 import pytest
-from skimage.feature import match_template
 
 from sonoservo.diagrams import estimate_shape, load_scenario, make_experiment
 from sonoservo.systems.shape import CrossSectionParameters
 from sonoservo.systems.shape.cross_section import find_again
-from sonoservo.systems.shape.normalized_cross_correlation import normalized_cross_correlation
 
 PAPER_MS = {"image": 3.1, "particle filter": 2.8}
-
-
-def best_time(function, repeats=50):
-    times = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        function()
-        times.append(time.perf_counter() - start)
-    return min(times)
 
 
 @pytest.fixture(scope="module")
@@ -32,22 +18,6 @@ def experiment():
     slices = []
     experiment.run(lambda each: slices.append(each.evaluate(each.slice_converter, "slice")))
     return experiment, slices
-
-
-@pytest.mark.parametrize("other", ["OpenCV", "scikit-image"])
-def test_template_matching_30_in_60(benchmark, other):
-    rng = np.random.default_rng(0)
-    search = rng.normal(size=(60, 60)).astype(np.float32)
-    template = search[14:44, 17:47].copy()
-    rho = benchmark(normalized_cross_correlation, search, template)
-    theirs = {
-        "OpenCV": lambda: cv2.matchTemplate(search, template, cv2.TM_CCOEFF_NORMED),
-        "scikit-image": lambda: match_template(search, template),
-    }[other]
-    assert np.allclose(rho, theirs(), atol=1e-4)
-    benchmark.extra_info["compared_with"] = other
-    if benchmark.stats is not None:
-        benchmark.extra_info["ratio"] = best_time(theirs) / benchmark.stats["min"]
 
 
 def test_cross_section_in_a_slice(benchmark, experiment):
