@@ -104,14 +104,6 @@ def test_an_unknown_experiment_is_one_clear_line():
         load_scenario("drive", changes=["experiment=7"])
 
 
-def test_options_that_an_experiment_does_not_have_are_refused(tmp_path):
-    scenario = load_scenario("carriere2016_patient")
-    message = "carriere2016_patient: record: not possible in the experiment 'shape_prediction'"
-    with pytest.raises(ConfigurationError, match=message):
-        run(scenario, record=tmp_path / "a.seq.nrrd", out=tmp_path)
-    assert not list(tmp_path.iterdir())
-
-
 @pytest.mark.parametrize(
     "use",
     [
