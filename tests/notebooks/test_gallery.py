@@ -22,12 +22,8 @@ def test_galleries_run_and_their_figures_say_what_they_should(name, tmp_path, mo
         assert all(len(shown) == 3 for shown in drawn["ROWS"].values())
         return
     assert Path("gallery.png").stat().st_size < 400e3
-    steel, tilts, contrast = drawn["figures"]["as it is"], drawn["TILTS"], drawn["contrast"]
+    steel = drawn["figures"]["as it is"]
     assert 34 < steel[0].peak_db < 44
-    across, along = tilts.index(0), tilts.index(75)
-    assert np.ptp([levels[across] for levels in contrast.values()]) < 4
-    assert contrast["echogenic"][along] > contrast["coated"][along] > 3
-    assert contrast["biopsy"][along] < 0
     # The steeper the needle, the further from the middle it faces the beam.
     faces = [echo.distance[np.nanargmax(echo.level_db)] for echo in steel[:4]]
     assert (np.diff(faces) < -3e-3).all()

@@ -37,22 +37,16 @@ def driven(request):
     return experiment, seen, experiment.log()
 
 
-def test_steps_do_not_depend_on_the_strides_of_time(driven):
-    experiment, _, log = driven
-    parts = make_experiment(experiment.scenario)
-    parts.start()
-    while parts.time < parts.scenario.duration:
-        parts.advance(min(parts.time + 0.13, parts.scenario.duration))
-    assert_equal_logs(parts.log(), log)
-
-
-def test_a_second_start_gives_the_same_run_again(driven):
+def test_a_second_start_in_other_strides_of_time_gives_the_same_run_again(driven):
     experiment, first, log = driven
     count, again = len(first), []
     assert count > 2
     experiment.start()
     assert all(times == [] for times in experiment.compute.values())
-    experiment.run(lambda each: again.append((each.time, each.status)))
+    while experiment.time < (end := experiment.scenario.duration):
+        experiment.advance(
+            min(experiment.time + 0.13, end), lambda each: again.append((each.time, each.status))
+        )
     assert again == first
     assert_equal_logs(experiment.log(), log)
     assert {len(times) for times in experiment.compute.values()} == {count}
