@@ -165,13 +165,13 @@ def test_real_time_goes_no_faster(tmp_path):
 
 def test_an_interruption_keeps_what_was_tracked(path, tmp_path):
     def stop(number, estimate):
-        if number == 3:
+        if number == 0:
             raise KeyboardInterrupt
 
     result = track_recording(Recording(path), out=tmp_path / "out", after_volume=stop)
     assert result.summary["interrupted"]
     assert "sonoservo locate" in result.summary["advice"]
-    assert len(result.rows) == 4
+    assert len(result.rows) == 1
     assert (tmp_path / "out" / "report.html").is_file()
 
 
