@@ -61,17 +61,16 @@ def test_a_run_starts_where_somebody_clicked(scenario, open_page, tmp_path, monk
     assert again.tracker.start == started.tracker.start
 
 
-@pytest.mark.parametrize(("lost", "seed"), [(0.0, 100), (0.6, 101)])
-def test_the_slice_is_the_first_that_arrives(lost, seed):
-    changes = {**SHORT, "scanner.connection.lost_sweeps": lost}
-    scenario = load_scenario("carriere2016_d60", changes=changes, seed=seed)
+def test_the_slice_is_the_first_that_arrives():
+    changes = {**SHORT, "scanner.connection.lost_sweeps": 0.6}
+    scenario = load_scenario("carriere2016_d60", changes=changes, seed=101)
     experiment = make_experiment(scenario)
     seen = []
     experiment.run(lambda each: seen.append(each.evaluate(each.slice_converter, "slice")))
+    assert len(seen) < 11
     image = first_slice(scenario)
     np.testing.assert_array_equal(image.intensities, seen[0].intensities)
     assert image.time == seen[0].time
-    assert (len(seen) < 11) == (lost > 0)
 
 
 def test_a_scanner_that_loses_every_slice_leaves_nothing_to_click_on(scenario):

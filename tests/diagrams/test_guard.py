@@ -4,16 +4,7 @@ import re
 from pathlib import Path
 
 import pytest
-from fault_runs import (
-    GUARDS,
-    Fault,
-    FaultCase,
-    FaultLoop,
-    changed,
-    draw_case,
-    rise,
-    run_faults,
-)
+from fault_runs import GUARDS, Fault, FaultCase, FaultLoop, changed, draw_case, rise, run_faults
 
 from sonoservo.diagrams import MakeProbeController, ProbeControllerParameters, load_scenario
 from sonoservo.models import model_path

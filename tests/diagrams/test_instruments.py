@@ -83,7 +83,7 @@ def test_delay_measured_by_cross_correlation_is_the_dials():
     np.testing.assert_allclose(miss, expected, atol=0.15e-3)
 
 
-def test_hand_eye_error_shifts_the_tip_by_what_the_transform_says():
+def test_hand_eye_error_shifts_the_tip_by_what_the_transform_says(tmp_path):
     changes = [
         "station.calibration.hand_eye_translation=0.002",
         "station.calibration.hand_eye_rotation_deg=1",
@@ -91,7 +91,15 @@ def test_hand_eye_error_shifts_the_tip_by_what_the_transform_says():
     ]
     plan = scenario(*changes)
     X_PC = hand_eye_error(plan.station.calibration, draw_seeds(plan).station)
-    log = run(plan, tracker=SameInProbe(**tracker_events(plan))).log
+    events = tracker_events(plan)
+    log = run(plan, tracker=SameInProbe(**events), out=tmp_path).log
+    page = (tmp_path / "report.html").read_text()
+    assert f"The tracker is {__name__}.SameInProbe" in page
+    assert "chatelain2013;" not in page
+    assert "To repeat it" not in page
+    seen = events["offset"] + events["period"] * np.arange(len(log.volume_time))
+    assert seen[-1] < 2.5 < seen[-1] + events["period"]
+    np.testing.assert_allclose(log.volume_seen, seen, atol=1e-5)
     true = places(log.volume_true_X_WP, P_TIP)
     shift = X_PC.multiply(P_TIP) - P_TIP
     expected = log.volume_true_X_WP[:, :3, :3] @ shift

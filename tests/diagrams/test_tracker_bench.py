@@ -57,16 +57,6 @@ def test_every_sink_receives_every_volume_and_the_log_the_truth():
     assert len(log.compute["track"]) == 3
 
 
-def test_an_interruption_keeps_what_there_is():
-    def stop(tracked):
-        if tracked.number == 1:
-            raise KeyboardInterrupt
-
-    bench = TrackerBench(Sure())
-    assert not bench.run(samples(3), [stop])
-    assert len(bench.log().volume_time) == len(bench.log().compute["track"]) == 2
-
-
 def test_the_truth_goes_to_the_log_alone():
     tracker = Sure()
     bench = MakeTrackerBench(tracker=tracker)

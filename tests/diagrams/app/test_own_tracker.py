@@ -91,22 +91,11 @@ def test_a_function_runs_and_tracks_alike_whether_given_itself_or_by_its_factory
     again = track_recording(Recording(path), tracker=mine.make())
     np.testing.assert_array_equal([each.curve.tip for each in again.estimates], tips)
     factory = "own_tracker_of_a_test:make"
-    command = [
-        "track",
-        str(path),
-        "--tracker",
-        "./own_tracker_of_a_test.py:make",
-        "--json",
-        "t.json",
-        "--out",
-        "t",
-    ]
-    assert run_arguments(command) == 0
+    command = ["track", str(path), "--tracker", "./own_tracker_of_a_test.py:make"]
+    assert run_arguments([*command, "--json", "t.json", "--out", "t"]) == 0
     said = " ".join(capsys.readouterr().out.split())
-    found = (
-        f"A needle was found at {again.times[0]:.2f} s and tracked in {len(tips)} of {len(tips)}"
-    )
-    assert f"{found} volumes; its tip was last at (" in said
+    assert f"A needle was found at {again.times[0]:.2f} s and tracked in {len(tips)} of" in said
+    assert f"of {len(tips)} volumes; its tip was last at (" in said
     assert run_arguments(["track", str(path), "--out", "none"]) == 0
     assert "No needle was found. Volumes without a needle:" in " ".join(
         capsys.readouterr().out.split()
@@ -136,21 +125,24 @@ def test_what_was_tracked_before_a_failure_is_kept(mine, tmp_path):
     assert "division by zero" in str(result.failure)
 
 
-def test_what_is_no_tracker_is_refused(mine, capsys):
-    with pytest.raises(ConfigurationError, match="expected a NeedleEstimate"):
-        run("chatelain2013_fig5", changes=SHORT, tracker="own_tracker_of_a_test:wrong")
-    with pytest.raises(ConfigurationError, match="needs its velocity and covariance"):
-        run("chatelain2013_fig5", changes=SHORT, tracker="own_tracker_of_a_test:bare")
-    with pytest.raises(ConfigurationError, match="m from the probe; .* are in W, in m"):
-        run("chatelain2013_fig5", changes=SHORT, tracker="own_tracker_of_a_test:millimetres")
-    with pytest.raises(ConfigurationError, match="covariance has negative variances"):
-        run("chatelain2013_fig5", changes=SHORT, tracker="own_tracker_of_a_test:doubtless")
-    with pytest.raises(ConfigurationError, match="100 s ahead of its volume"):
-        run("chatelain2013_fig5", changes=SHORT, tracker="own_tracker_of_a_test:ahead")
-    with pytest.raises(ConfigurationError, match="tracker of yours failed.*division by zero"):
-        run("chatelain2013_fig5", changes=SHORT, tracker="own_tracker_of_a_test:failing")
-    with pytest.raises(ConfigurationError, match="plain: it is called without arguments"):
-        run("chatelain2013_fig5", changes=SHORT, tracker="own_tracker_of_a_test:plain")
+@pytest.mark.parametrize(
+    ("factory", "message"),
+    [
+        ("wrong", "expected a NeedleEstimate"),
+        ("bare", "needs its velocity and covariance"),
+        ("millimetres", "m from the probe; .* are in W, in m"),
+        ("doubtless", "covariance has negative variances"),
+        ("ahead", "100 s ahead of its volume"),
+        ("failing", "tracker of yours failed.*division by zero"),
+        ("plain", "plain: it is called without arguments"),
+    ],
+)
+def test_what_is_no_tracker_is_refused(mine, factory, message):
+    with pytest.raises(ConfigurationError, match=message):
+        run("chatelain2013_fig5", changes=SHORT, tracker=f"own_tracker_of_a_test:{factory}")
+
+
+def test_a_tracker_out_of_place_is_refused(mine, capsys):
     with pytest.raises(ConfigurationError, match="tracker: a value of type int"):
         run("chatelain2013_fig5", changes=SHORT, tracker=5)
     with pytest.raises(ConfigurationError, match="tracker: not possible in the experiment"):

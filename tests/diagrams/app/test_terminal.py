@@ -38,25 +38,18 @@ def test_the_table_says_why_no_needle_was_found_and_why_the_robot_stands(stopped
     assert ("The guard stopped the robot" in said) == (stopped is not None)
 
 
-@pytest.mark.parametrize("width", range(30, 60))
-def test_numbers_stay_with_their_units(width):
-    console = Console(record=True, width=width)
-    tracking = {
+def test_numbers_stay_with_their_units():
+    tracking = NEEDLE["tracking"] | {
         "tip_error_mm": {"median": 0.5, "p95": 1.5},
         "consistency": {"tip": {"within_95": 1.0}},
     }
-    console.print(
-        summary_table(
-            result(
-                detection={"volume": 3},
-                success={"found": True},
-                tracking=NEEDLE["tracking"] | tracking,
-            )
-        )
-    )
-    said = console.export_text()
-    assert "100 % inside" in " ".join(said.split())
-    assert not any(line.split()[:1] in (["%"], ["mm"]) for line in said.splitlines())
+    shown = result(detection={"volume": 3}, success={"found": True}, tracking=tracking)
+    for width in range(30, 60):
+        console = Console(record=True, width=width)
+        console.print(summary_table(shown))
+        said = console.export_text()
+        assert "100 % inside" in " ".join(said.split())
+        assert not any(line.split()[:1] in (["%"], ["mm"]) for line in said.splitlines())
 
 
 def test_a_file_that_was_not_written_goes_before_the_exit_status():

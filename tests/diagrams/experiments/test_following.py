@@ -6,16 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from page_clients.console_socket import open_console
-from pydrake.common.value import Value
-from pydrake.systems.framework import LeafSystem
 
-from sonoservo.diagrams import FollowingExperiment, load_scenario, run, scan, tracker_events
+from sonoservo.diagrams import FollowingExperiment, load_scenario, run, scan
 from sonoservo.diagrams.experiments.following_scene import make_scene
 from sonoservo.systems.display import Console
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.recording import read_truth
 from sonoservo.systems.robot import Breathing, PhantomMotionParameters
-from sonoservo.systems.signals import NeedleCurve, NeedleEstimate, TrackingMode
 from sonoservo.systems.ultrasound.simulation import NeedleDragParameters, TissueReactionParameters
 
 
@@ -61,53 +58,6 @@ def test_what_cannot_be_is_refused_before_anything_moves(changes, message):
 
 
 COARSE = ["imaging.sector=0.4", "scan_conversion.spacing=[1e-3, 1e-3, 1e-3]"]
-
-
-class Counting(LeafSystem):
-    """A tracker of one's own, with the least that it needs: after three volumes it is sure."""
-
-    def __init__(self, *, period, offset):
-        super().__init__()
-        self.volumes = []
-        self.DeclareAbstractInputPort("volume", Value[object]())
-        self.DeclareStateOutputPort(
-            "estimate",
-            self.DeclareAbstractState(Value[object](NeedleEstimate(TrackingMode.SEARCHING, 0.0))),
-        )
-        self.DeclarePeriodicUnrestrictedUpdateEvent(period, offset, self._update)
-
-    def _update(self, context, state):
-        volume = self.GetInputPort("volume").Eval(context)
-        self.volumes.append(volume)
-        mode = TrackingMode.SEARCHING if len(self.volumes) < 4 else TrackingMode.TRACKING
-        estimate = NeedleEstimate(
-            mode,
-            volume.time,
-            NeedleCurve([[-0.02, 0.03, 0], [0.01, 0.04, 0.01]]).transformed(volume.X_WP),
-            np.zeros((2, 3)),
-            1e-6 * np.eye(12),
-            volume.time,
-        )
-        state.get_mutable_abstract_state(0).set_value(estimate)
-
-
-def test_a_tracker_of_one_s_own_takes_the_place_of_the_scenario_s(tmp_path):
-    scenario = load_scenario("chatelain2013_fig5", changes=["duration=4", *COARSE])
-    events = tracker_events(scenario)
-    tracker = Counting(**events)
-    log = run(scenario, tracker=tracker, out=tmp_path).log
-    page = (tmp_path / "report.html").read_text()
-    assert f"The tracker is {__name__}.Counting" in page
-    assert "chatelain2013;" not in page
-    assert "To repeat it" not in page
-    seen = events["offset"] + events["period"] * np.arange(len(tracker.volumes))
-    assert seen[-1] < 4 < seen[-1] + events["period"]
-    np.testing.assert_allclose(log.volume_seen, seen, atol=1e-5)
-    np.testing.assert_allclose(log.volume_time, [volume.time for volume in tracker.volumes])
-    assert log.volume_estimate_mode.tolist() == 3 * ["searching"] + (len(seen) - 3) * ["tracking"]
-    # The controller believes it: the probe, first at rest over the phantom, begins to move.
-    moved = np.linalg.norm(log.X_WP[:, :2, 3] - log.X_WP[0, :2, 3], axis=1)
-    assert moved[log.time < seen[3]].max() < 1e-3 < moved[-1]
 
 
 def test_a_page_that_never_answers_changes_nothing():

@@ -140,13 +140,6 @@ def test_each_experiment_has_a_line_of_its_main_figures(data):
     }
 
 
-def test_a_table_says_whether_the_code_of_its_runs_has_changed(data):
-    said = "has changed since"
-    for rows, more in (("all", {}), ("dials", {"dials": [{"dial": "speed"}]})):
-        assert said not in results.results_table(data | more, rows)
-        assert said in results.results_table(data | more | {"outdated": True}, rows)
-
-
 def test_where_the_published_method_is_better_stands_before_the_tables(study, data):
     assert data["published_better"] == ""
     (worse,) = study.rows[:1]

@@ -35,14 +35,8 @@ def test_figures_stand_side_by_side_with_what_was_changed(keep, tmp_path):
     comparison = compare(folders, out=tmp_path / "out")
     figures = comparison.figures()["tracking.tip_error_mm.median"]
     np.testing.assert_allclose(figures, [0.5, np.hypot(1.3, 0.4), 0.5])
-    gain, seed = sorted(comparison.changes(), key=lambda row: row["path"])
-    assert [gain[each] for each in ("path", "a", "b", "c")] == [
-        "imaging.gain",
-        "0.42",
-        "0.5",
-        "0.42",
-    ]
-    assert [seed[each] for each in ("path", "a", "b", "c")] == ["seed", "0", "0", "4"]
+    changes = {row["path"]: [row[each] for each in "abc"] for row in comparison.changes()}
+    assert changes == {"imaging.gain": ["0.42", "0.5", "0.42"], "seed": ["0", "0", "4"]}
     figure = comparison.plot()
     assert [len(axes.get_lines()) for axes in figure.axes] == 5 * [3]
     assert [text.get_text() for text in figure.legends[0].get_texts()] == ["a", "b", "c"]

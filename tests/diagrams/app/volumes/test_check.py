@@ -160,25 +160,21 @@ def test_a_compressed_file_that_was_cut_short_is_told(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("error", "matrix", "orientation", "needed"),
+    ("error", "shear", "orientation", "needed"),
     [
-        ("0.4", "0.2 0 0 1  0 0.2 0 2  0 0 0.2 3  0 0 0 1", 'PortUsImageOrientation="MF"', ""),
-        ("3.4", "0.2 0 0 1  0 0.2 0 2  0 0 0.2 3  0 0 0 1", 'PortUsImageOrientation="MF"', "3.4"),
-        (
-            "0.4",
-            "0.2 0.1 0 1  0 0.2 0 2  0 0 0.2 3  0 0 0 1",
-            'PortUsImageOrientation="MF"',
-            "angle",
-        ),
-        ("0.4", "0.2 0 0 1  0 0.2 0 2  0 0 0.2 3  0 0 0 1", "", "orientation"),
+        ("0.4", "0", 'PortUsImageOrientation="MF"', ""),
+        ("3.4", "0", 'PortUsImageOrientation="MF"', "3.4"),
+        ("0.4", "0.1", 'PortUsImageOrientation="MF"', "angle"),
+        ("0.4", "0", "", "orientation"),
     ],
 )
-def test_configuration_of_plus(tmp_path, error, matrix, orientation, needed):
+def test_configuration_of_plus(tmp_path, error, shear, orientation, needed):
     path = tmp_path / "c.xml"
     path.write_text(
         f"""<PlusConfiguration version="2.3"><DataCollection><Device Id="V" {orientation}/>
         </DataCollection><CoordinateDefinitions><Transform From="Image" To="Probe" Error="{error}"
-        Date="2026" Matrix="{matrix}"/></CoordinateDefinitions></PlusConfiguration>"""
+        Date="2026" Matrix="0.2 {shear} 0 1  0 0.2 0 2  0 0 0.2 3  0 0 0 1"/>
+        </CoordinateDefinitions></PlusConfiguration>"""
     )
     checked = check_file(path)
     assert any("ImageToProbe" in each.text for each in found(checked, Check.MATRIX))

@@ -9,19 +9,10 @@ import pytest
 from random_scans import random_scan
 from scipy.ndimage import map_coordinates
 
-from sonoservo.diagrams import locate, locate_in
+from sonoservo.diagrams import locate
 from sonoservo.diagrams.app.volumes.locate import locate_in_recording
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.recording import Recording, write_volume
-
-
-@pytest.mark.parametrize("seed", [104, 107])
-def test_finds_needles_and_no_others(seed):
-    made = random_scan(seed)
-    found = locate_in(made.volume)
-    assert np.linalg.norm(found.curve.tip - made.needle.tip) <= 2e-3
-    assert np.degrees(np.arccos(min(found.curve.direction @ made.needle.direction, 1))) <= 2
-    assert not locate_in(random_scan(seed, needle=False).volume)
 
 
 @pytest.fixture(scope="module")
@@ -29,14 +20,9 @@ def made():
     return random_scan(104)
 
 
-def write(path, array, steps, origin, window=None):
-    header = {
-        "space": "left-posterior-superior",
-        "space directions": np.asarray(steps).T,
-        "space origin": origin,
-    }
+def write_nrrd(path, array, steps, origin):
+    header = {"space": "left-posterior-superior", "space directions": steps, "space origin": origin}
     nrrd.write(str(path), array, header, compression_level=1)
-    return Recording(path, window=window, volume_rate=1.0)
 
 
 def test_anisotropic_voxels_show_the_same_needle(tmp_path):
@@ -50,9 +36,9 @@ def test_anisotropic_voxels_show_the_same_needle(tmp_path):
         index = np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"))
         index = index * (other / spacing)[:, np.newaxis, np.newaxis, np.newaxis]
         voxels = np.rint(map_coordinates(volume.intensities, index, np.float32, order=1))
-        path = tmp_path / "b.nrrd"
-        recording = write(path, voxels.astype(np.uint8), np.diag(other), 1e3 * volume.origin)
-        found = locate_in_recording(recording)
+        array = voxels.astype(np.uint8)
+        write_nrrd(tmp_path / "b.nrrd", array, np.diag(other), 1e3 * volume.origin)
+        found = locate_in_recording(Recording(tmp_path / "b.nrrd", volume_rate=1.0))
         tips.append(np.linalg.norm(np.subtract(found["tip_lps_mm"], wanted["tip_lps_mm"])))
         cosine = np.dot(found["direction_lps"], wanted["direction_lps"])
         angles.append(np.degrees(np.arccos(min(cosine, 1))))
@@ -119,11 +105,7 @@ def wires_in_the_dark():
 
 @pytest.mark.parametrize("depth", ["P", "L", "R"])
 def test_wires_in_the_dark_are_found_from_each_side(tmp_path, depth):
-    nrrd.write(str(tmp_path / "wires.nrrd"), wires_in_the_dark(), {
-        "space": "left-posterior-superior",
-        "space directions": np.diag([0.5] * 3),
-        "space origin": [-18, 12, -18],
-    })  # fmt: skip
+    write_nrrd(tmp_path / "wires.nrrd", wires_in_the_dark(), 0.5 * np.eye(3), [-18, 12, -18])
     found = locate_in_recording(Recording(tmp_path / "wires.nrrd", depth=depth))
     # From the right, wires lie behind wires: none is surer than 50 %.
     if found["found"] or depth != "R":

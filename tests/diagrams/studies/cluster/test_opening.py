@@ -24,20 +24,16 @@ arguments:
 
 
 @pytest.mark.parametrize(
-    ("text", "message"),
+    ("text", "limit", "message"),
     [
-        ("local:0", "local:0: '0' is not allowed; it must be a number from 1 to 1024"),
-        ("here", "'here' is not allowed; it must be tcp://HOST:PORT, local:N or FILE.yaml"),
-        ("missing.yaml", "missing.yaml: cannot be read"),
+        ("local:1", 0, "case limit: 0"),
+        ("local:0", 60, "local:0: '0' is not allowed; it must be a number from 1 to 1024"),
+        ("here", 60, "'here' is not allowed; it must be tcp://HOST:PORT, local:N or FILE.yaml"),
+        ("missing.yaml", 60, "missing.yaml: cannot be read"),
     ],
 )
-def test_a_wrong_text_is_refused(text, message):
-    with pytest.raises(ConfigurationError, match=message), open_cluster(text):
-        pass
-
-
-def test_a_wrong_limit_is_refused():
-    with pytest.raises(ConfigurationError, match="case limit: 0"), open_cluster("local:1", limit=0):
+def test_a_wrong_text_or_limit_is_refused(text, limit, message):
+    with pytest.raises(ConfigurationError, match=message), open_cluster(text, limit=limit):
         pass
 
 

@@ -10,7 +10,7 @@ from pydrake.math import RigidTransform, RotationMatrix
 from sonoservo.diagrams import load_scenario, make_insertion
 from sonoservo.diagrams.papers import results
 from sonoservo.diagrams.papers.registry import reproduce
-from sonoservo.diagrams.studies import Case, Outcome, StudyOptions, records, write_study
+from sonoservo.diagrams.studies import Case, Outcome, StudyOptions, write_study
 from sonoservo.diagrams.studies.robustness import reproduction
 from sonoservo.diagrams.studies.robustness.analysis import Group, Record
 from sonoservo.diagrams.studies.robustness.planned_motion import MotionPlan
@@ -256,16 +256,6 @@ def test_the_whole_study_in_short(tmp_path, monkeypatch):
     assert {path.stem for path in tmp_path.glob("*.png")} == names
     page = (tmp_path / "report.html").read_text()
     assert page.count("data:image/png;base64,") == len(names)
-    monkeypatch.setattr(records, "present_commit", lambda: "abc")
-    records.write_records(
-        tmp_path / "kept.gz", records.present_records(study.outcomes, "reproduce")
-    )
-    kept = records.read_records(tmp_path / "kept.gz")
-    assert not kept.is_outdated
-    again = report(kept.outcomes)
-    assert [row.named for row in again.rows] == [row.named for row in study.rows]
-    true = [np.array([row.true for row in each.rows], dtype=float) for each in (again, study)]
-    np.testing.assert_allclose(*true, rtol=1e-5)
 
 
 def test_all_trackers_of_an_open_loop_see_the_same_volumes():

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from scipy.optimize import minimize
 from synthetic_volumes import ENTRY, GEOMETRY, Scene
@@ -16,6 +17,9 @@ from sonoservo.diagrams.papers.chatelain2013.method.detection import (
     geometric_median,
     top_differences,
 )
+from sonoservo.diagrams.papers.chatelain2013.method.insertion_detector import InsertionDetector
+from sonoservo.systems.signals import NotFound, Volume
+from sonoservo.systems.tracking import VolumeMemory
 
 INWARD = np.array([1, 0.2, 0.1]) / np.linalg.norm([1, 0.2, 0.1])
 SCENE = Scene(seed=1, spacing=1.0e-3, balls=[([0.01, 0.06, 0.005], 2e-3)])
@@ -143,8 +147,49 @@ def test_median_from_a_start_at_a_point_that_is_not_the_median():
     np.testing.assert_allclose(geometric_median(points), [-3, 0], atol=1e-3)
 
 
-def test_median_of_one_point_of_coincident_ones_and_of_none():
-    np.testing.assert_array_equal(geometric_median([[1.0, 2, 3]]), [1, 2, 3])
-    np.testing.assert_allclose(geometric_median(np.ones((5, 3))), 1)
+def test_no_points_have_no_median():
     with pytest.raises(ValueError, match="points"):
         geometric_median(np.zeros((0, 3)))
+
+
+def test_the_leaf_passes_on_what_is_missing(before, entered):
+    detector = InsertionDetector(parameters=PARAMETERS)
+    context = detector.CreateDefaultContext()
+    volume = detector.GetInputPort("volume")
+    previous = detector.GetInputPort("previous_volume")
+    detection = detector.GetOutputPort("detection")
+    previous.FixValue(context, Value[object](NotFound("no earlier one")))
+    volume.FixValue(context, Value[object](NotFound("no volume")))
+    assert detection.Eval(context).reason == "no volume"
+    volume.FixValue(context, Value[object](entered))
+    assert detection.Eval(context).reason == "no earlier one"
+    previous.FixValue(context, Value[object](before))
+    assert detection.Eval(context)
+    volume.FixValue(context, Value[object]("scan"))
+    with pytest.raises(TypeError, match="'volume'"):
+        detection.Eval(context)
+
+
+def test_memory_is_the_same_before_and_after_its_event():
+    memory = VolumeMemory(period=1.0)
+    context = memory.CreateDefaultContext()
+    zeros = np.zeros((2, 2, 2), np.uint8)
+    volumes = [
+        Volume(zeros, np.zeros(3), np.full(3, 1e-3), RigidTransform(), float(k)) for k in range(7)
+    ]
+    for k, volume in enumerate(volumes):
+        memory.GetInputPort("volume").FixValue(context, Value[object](volume))
+        for _ in range(3):
+            previous = memory.GetOutputPort("previous_volume").Eval(context)
+            assert previous is volumes[k - 1] if k else not previous
+            memory.ExecuteForcedEvents(context)
+
+
+def test_memory_compares_sweeps_of_one_direction():
+    memory = VolumeMemory(same_direction=True, period=1.0)
+    context = memory.CreateDefaultContext()
+    volumes = [SCENE.volume(k) for k in range(4)]
+    for volume in volumes:
+        memory.GetInputPort("volume").FixValue(context, Value[object](volume))
+        memory.ExecuteForcedEvents(context)
+    assert memory.GetOutputPort("previous_volume").Eval(context) is volumes[1]

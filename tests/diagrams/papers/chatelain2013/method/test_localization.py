@@ -76,13 +76,6 @@ def test_what_is_explained():
     assert nothing.measurement.reason == "no needle"
 
 
-def test_principal_axis_passes_through_its_points():
-    axis = principal_axis(BENT)
-    np.testing.assert_allclose(axis.distance(BENT), 0, atol=1e-12)
-    assert axis.direction[0] > 0.99
-    assert isinstance(principal_axis(np.zeros((3, 3))), NotFound)
-
-
 def test_nelder_and_mead_bend_a_straight_axis():
     rng = np.random.default_rng(1)
     points = NeedleCurve(BENT).position(rng.random(200)) + 0.2e-3 * rng.normal(size=(200, 3))
