@@ -4,7 +4,7 @@ import numpy as np
 from pydrake.common.value import Value
 from synthetic_volumes import Scene, entry_on_side
 
-from sonoservo.systems.signals import NeedleCurve, NeedleMeasurement, NeedlePrediction, NotFound
+from sonoservo.systems.signals import NeedleCurve, NeedlePrediction, NotFound
 from sonoservo.systems.tracking import NeedleLocalizer, NeedleLocalizerParameters
 from sonoservo.systems.tracking.pipeline import explain_localization
 
@@ -30,15 +30,6 @@ class Bench:
 
     def output(self, port):
         return self.localizer.GetOutputPort(port).Eval(self.context)
-
-
-def test_measures_and_explains():
-    bench = Bench()
-    bench.fix("volume", Scene(seed=5, spacing=1e-3).volume(1, lambda time: ENDS))
-    found = bench.output("measurement")
-    assert isinstance(found, NeedleMeasurement)
-    assert bench.output("explanation").measurement is found
-    assert bench.output("explanation").attempts
 
 
 def test_says_what_is_missing():

@@ -137,11 +137,6 @@ def test_lost_needle_is_found_among_balls_and_rods():
     assert np.median(errors) < 1.5e-3
 
 
-def test_balls_are_no_lost_needle():
-    balls = dataclasses.replace(SCENE, rods=())
-    assert not run(balls.volume(1), expected(needle(0.03), everywhere=True))
-
-
 @pytest.mark.parametrize(("content", "everywhere"), [("constant", True), ("noise", False)])
 def test_volumes_without_content(content, everywhere):
     volume = SCENE.volume(1)
