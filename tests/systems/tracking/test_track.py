@@ -158,6 +158,15 @@ def test_a_line_found_aside_stays_the_needle_by_its_looks_alone():
     assert seen(lost, 1.0, 3.0, y=0.0).probability > life.parameters.act
 
 
+def test_the_prediction_says_what_is_known():
+    life = lifecycle()
+    track = dataclasses.replace(tracked(life), missed=2, entry=np.zeros(3))
+    expected = life.predict(track, 1.0, STILL, NO_LINES)
+    assert (expected.time, expected.missed, expected.found) == (1.0, 2, False)
+    np.testing.assert_array_equal(expected.entry, track.entry)
+    assert expected.covariance.shape == (6, 6)
+
+
 def test_a_track_in_the_probe_s_frame_is_carried_along():
     X = RigidTransform([0.0, 0.01, 0.0])
     track = tracked(lifecycle())
@@ -183,6 +192,28 @@ def test_two_rejected_measurements_that_agree_start_anew():
     assert again.mode == TrackingMode.TRACKING
     np.testing.assert_array_equal(again.state.mean, life.needle_filter.start(found).mean)
     assert again.rejected is None
+
+
+def test_coast_lose_find_again_and_give_up():
+    life = lifecycle(volumes_to_lose=2, seconds_to_give_up=3.0)
+    track = tracked(life)
+    modes = []
+    for time in (1.0, 2.0, 3.0, 4.0):
+        track = life.next(track, time, **NOTHING)
+        modes.append(track.mode)
+    assert modes == ["coasting", "lost", "lost", "searching"]
+
+
+def test_a_needle_that_comes_out_ends_its_track():
+    life = lifecycle()
+    track = tracked(life)
+    for time in 0.3 * np.arange(1, 50):
+        tip = 0.03 - 0.0217 * time
+        seen = {"measurement": measurement(tip, time=time)} if tip > 0.012 else {}
+        track = life.next(track, time, **NOTHING | seen)
+        if not track:
+            break
+    assert (track.mode, track.reason) == (TrackingMode.SEARCHING, "the needle was withdrawn")
 
 
 def test_a_needle_that_tissue_carries_along_is_not_lost_at_once():
