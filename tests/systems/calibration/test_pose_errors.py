@@ -1,6 +1,7 @@
 """Delay and hand-eye error from tissue that stands still: errors put in are the truth."""
 
 from dataclasses import replace
+from functools import reduce
 
 import numpy as np
 import pytest
@@ -31,12 +32,17 @@ ERRORS = displaced([1.0, -0.5, 1.5], [0.6, -0.6, 0.5])
 LYING = LyingProbe(delay=0.06, X_PI=ERRORS)
 
 
+def calibrated(volumes):
+    return reduce(PoseCalibration.seen, volumes, PoseCalibration())
+
+
 @pytest.fixture(scope="module")
 def calibration():
-    known = PoseCalibration()
-    for number in range(16):
-        known = known.seen(LYING.volume(number))
-    return known
+    return calibrated(map(LYING.volume, range(16)))
+
+
+def found(errors):
+    return np.array([errors.delay, *errors.translation, *errors.rotation])
 
 
 def truth(probe=LYING):
@@ -127,9 +133,7 @@ def test_corrected_poses_are_true(calibration):
 
 def test_a_probe_at_rest_tells_nothing_and_few_pairs_are_too_few(calibration):
     resting = LyingProbe(delay=0.1, path=lambda _: RigidTransform())
-    known = PoseCalibration()
-    for number in range(3):
-        known = known.seen(resting.volume(number))
+    known = calibrated(map(resting.volume, range(3)))
     assert not known.equations
     assert estimate_pose_errors(calibration.equations[:7]).reason.startswith("7 pairs of volumes")
     assert isinstance(estimate_pose_errors(calibration.equations[:8]), PoseErrors)
@@ -145,23 +149,13 @@ def test_tissue_that_breathes_is_noticed():
         )
 
     breathing = LyingProbe(path=seen_from)
-    known = PoseCalibration()
-    for number in range(9):
-        volume = breathing.volume(number)
-        said = replace(volume.motion, X_WP=poses(wandering, volume.motion.times))
-        known = known.seen(replace(volume, X_WP=wandering(volume.time), motion=said))
-    assert known.errors.reason.startswith("the tissue moves: half of it is off by more than ")
-
-
-def found(errors):
-    return np.array([errors.delay, *errors.translation, *errors.rotation])
-
-
-def calibrated(volumes):
-    known = PoseCalibration()
-    for each in volumes:
-        known = known.seen(each)
-    return known.errors
+    volumes = []
+    for each in map(breathing.volume, range(9)):
+        said = replace(each.motion, X_WP=poses(wandering, each.motion.times))
+        volumes.append(replace(each, X_WP=wandering(each.time), motion=said))
+    assert calibrated(volumes).errors.reason.startswith(
+        "the tissue moves: half of it is off by more than "
+    )
 
 
 def test_a_probe_that_lands_and_rests_tells_no_error_that_is_not_there():
@@ -177,13 +171,13 @@ def test_a_probe_that_lands_and_rests_tells_no_error_that_is_not_there():
         else each
         for number, each in enumerate(map(probe.volume, range(14)))
     ]
-    errors = calibrated(volumes)
+    errors = calibrated(volumes).errors
     assert not errors.told.all()
     assert (np.abs(found(errors)) < 2 * errors.std)[errors.told].all()
 
 
 def test_without_errors_none_are_found():
-    errors = calibrated(map(LyingProbe().volume, range(16)))
+    errors = calibrated(map(LyingProbe().volume, range(16))).errors
     assert errors.told.all()
     assert (np.abs(found(errors)) < 2 * errors.std).all()
 
@@ -195,6 +189,6 @@ def test_what_the_motion_does_not_show_stays_near_zero():
         X_PI=displaced([2.0, 0.0, 0.0], [0.0, 0.0, 0.0]),
         path=lambda t: RigidTransform([2.5e-3 * np.sin(1.7 * t), 0.0, 2e-3 * np.sin(2.1 * t)]),
     )
-    errors = calibrated(map(sliding.volume, range(9)))
+    errors = calibrated(map(sliding.volume, range(9))).errors
     assert np.linalg.norm(errors.translation) < 0.1e-3
     np.testing.assert_allclose(errors.std[1:4], 3e-3, rtol=0.05)

@@ -26,7 +26,11 @@ DEFAULT = ["1", "None", "passive", *(OURS if WIDE else ["None", "None"])]
         ("systems", {}, DEFAULT),
         ("diagrams", {}, DEFAULT),
         ("systems", {"OMP_NUM_THREADS": "4"}, ["None", "4", "passive"]),
-        ("systems", dict.fromkeys(set(SET) - {"OMP_NUM_THREADS"}, "3"), ["3", "None", *3 * "3"]),
+        (
+            "systems",
+            {name: "3" for name in SET if name != "OMP_NUM_THREADS"},
+            ["3", "None", "3", "3", "3"],
+        ),
     ],
 )
 def test_the_first_import_sets_what_the_user_has_not(package, own, expected):

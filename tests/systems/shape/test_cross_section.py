@@ -152,10 +152,11 @@ SLANTED = NeedleShape(
 )  # fmt: skip
 
 
-def localize(track, image, shape=None):
+def localize(track, image, shape=None, click=None):
     localizer = CrossSectionLocalizer(parameters=PARAMETERS)
     context = localizer.CreateDefaultContext()
-    for name, value in (("slice", image), ("cross_section_track", track), ("shape", shape)):
+    inputs = {"slice": image, "cross_section_track": track, "shape": shape, "click": click}
+    for name, value in inputs.items():
         if value is not None:
             localizer.GetInputPort(name).FixValue(context, Value[object](value))
     return localizer.GetOutputPort("cross_section").Eval(context)
@@ -201,17 +202,11 @@ def test_a_click_off_the_needle_by_three_deviations_still_finds_it():
 
 def test_the_localizer_waits_for_a_click():
     axis = np.array([0.0, 0.025])
-    localizer = CrossSectionLocalizer(parameters=PARAMETERS)
-    context = localizer.CreateDefaultContext()
-    localizer.GetInputPort("slice").FixValue(context, Value[object](picture(axis)))
-    track = Value[object](CrossSectionTrack())
-    localizer.GetInputPort("cross_section_track").FixValue(context, track)
-    port = localizer.GetInputPort("click")
-    port.FixValue(context, Value[object](NotFound("no click")))
-    found = localizer.GetOutputPort("cross_section").Eval(context)
-    assert "nobody has clicked" in found.reason
-    port.FixValue(context, Value[object](ImageClick(axis + 0.5e-3)))
-    found = localizer.GetOutputPort("cross_section").Eval(context)
+    waiting, found = (
+        localize(CrossSectionTrack(), picture(axis), click=click)
+        for click in (NotFound("no click"), ImageClick(axis + 0.5e-3))
+    )
+    assert "nobody has clicked" in waiting.reason
     np.testing.assert_allclose(found.centre, axis, atol=0.12e-3)
 
 

@@ -156,6 +156,13 @@ def test_an_end_that_stops_where_needles_fade_may_hide_the_rest():
     assert later.curve.tip[0] - fading.curve.tip[0] < 8e-3 * FILTER.unseen_time
 
 
+def test_a_needle_that_rests_for_long_after_a_push_hides_no_more_than_at_first():
+    tips = 0.02 + 8e-3 * PERIOD * np.minimum(np.arange(60), 10)
+    state = along(tips, 0.1)
+    assert state.weights[2::3].sum() < 0.2
+    assert state.curve.tip[0] == pytest.approx(tips[-1], abs=1.5e-3)
+
+
 def test_a_needle_that_jerks_is_followed():
     """A hand takes it back by 20 mm in two volumes; each says that its old place is not likely."""
     tips = [*[0.05] * 12, 0.04, 0.03, 0.03]
@@ -166,6 +173,12 @@ def test_a_needle_that_jerks_is_followed():
         for k, tip in enumerate(tips)
     ]
     assert follow(images).curve.tip[0] == pytest.approx(tips[-1], abs=1e-3)
+
+
+def test_no_tip_lies_before_the_end_that_is_seen():
+    tips = 0.05 - 8e-3 * PERIOD * (8 - np.abs(np.arange(16) - 8))
+    state = along(tips, 0.1)
+    assert state.curve.tip[0] > tips[-1] - 1e-3
 
 
 def test_stated_covariance_holds_what_it_says():
