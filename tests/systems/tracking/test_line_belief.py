@@ -11,6 +11,7 @@ from scipy.ndimage import gaussian_filter
 from synthetic_volumes import line
 
 from sonoservo.systems.signals import NeedleCurve, NeedleEstimate, NotFound, TrackingMode, Volume
+from sonoservo.systems.signals.line_hypotheses import LINE_CLASSES
 from sonoservo.systems.tracking import LineFollower
 from sonoservo.systems.tracking.line_belief import LineBelief, explain_lines, follow
 
@@ -104,6 +105,15 @@ def test_older_volumes_are_remembered_more_sparsely_while_the_tissue_is_the_same
               for n, each in enumerate(images[:COUNT])]  # fmt: skip
     gaps = np.diff([each.volume.time for each in followed(others).memory])
     np.testing.assert_allclose(gaps, 0.6)
+
+
+def test_where_no_needle_comes_none_is_found():
+    lines = followed(volumes(False, True)).hypotheses
+    assert lines.probabilities.max() < 0.5
+    wire = np.flatnonzero(along(lines, *WIRE))
+    assert len(wire)
+    kinds = [LINE_CLASSES[n] for n in lines.classes[wire].argmax(axis=1)]
+    assert "needle" not in kinds
 
 
 def test_the_history_of_a_needle_shows_its_tip_advance(pushed_in):

@@ -65,6 +65,13 @@ def test_a_line_in_even_tissue_is_narrow_and_alike_on_all_sides(blur):
     assert found["rim"] == 0
 
 
+def test_a_sheet_is_wide_and_as_bright_beside(blur):
+    found = features(lambda below, aside, x: np.where(np.abs(below) < 0.8e-3, LINE, TISSUE))
+    assert found["width"] == pytest.approx(1.4)
+    assert found["aside"] == pytest.approx(found["around"])
+    assert found["aside"] > 0.8
+
+
 @pytest.mark.parametrize(("drop", "border"), [(4.0, 0.0), (8.0, 1.0), (12.0, 4.0), (24.0, 9.0)])
 def test_border_is_the_darkness_below(drop, border):
     found = features(
