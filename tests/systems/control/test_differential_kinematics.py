@@ -102,43 +102,14 @@ def test_joint_position_limits_hold():
 
 
 def test_two_contexts_of_one_system_do_not_disturb_each_other():
-    alone = Bench(ELBOW_UP, planar=(0.02, 0, 0.2))
-    alone.simulator.AdvanceTo(0.1)
-    first = Bench(ELBOW_UP, planar=(0.02, 0, 0.2))
-    second = Simulator(first.leaf, first.leaf.CreateDefaultContext())
-    q = np.concatenate([ELBOW_UP + 0.2, np.zeros(6)])
-    for number, value in enumerate(((-0.03, 0.01, -0.3), [0.02], q)):
-        first.leaf.get_input_port(number).FixValue(second.get_mutable_context(), value)
-    second.Initialize()
-    for time in np.arange(STEP / 2, 0.1, STEP):
-        first.simulator.AdvanceTo(time)
-        second.AdvanceTo(time)
-    first.simulator.AdvanceTo(0.1)
-    np.testing.assert_array_equal(first.command(), alone.command())
-    contexts = [first.simulator.get_context(), second.get_context()]
-    contexts.append(contexts[0].Clone())
-    scratch = [first.leaf._scratch(each) for each in contexts]
-    assert len({id(each) for each in scratch}) == 3
+    bench = Bench(ELBOW_UP)
+    context = bench.simulator.get_context()
+    contexts = [context, bench.leaf.CreateDefaultContext(), context.Clone()]
+    assert len({id(bench.leaf._scratch(each)) for each in contexts}) == 3
 
 
 IIWA = assemble_arm("lbr_iiwa_14").home
 ASIDE = IIWA + np.array([0.1, -0.05, 0.2, 0.1, -0.1, 0.05, 0.3])
-
-
-def test_seven_joints_move_the_probe_as_asked_and_come_home():
-    """Where the probe's motion leaves the elbow free, it returns to the home posture."""
-    arm = assemble_arm("lbr_iiwa_14")
-    context = arm.plant.CreateDefaultContext()
-    null = np.linalg.svd(Bench(IIWA, arm="lbr_iiwa_14").jacobian(IIWA))[2][-1]
-    q = IIWA + 0.2 * null
-    bench = Bench(q, arm="lbr_iiwa_14", axis_gain=0.0, posture_gain=1.0)
-    arm.plant.SetPositions(context, q)
-    before = bench.pose(q)
-    bench.simulator.AdvanceTo(6.0)
-    after = bench.pose(bench.command()[:7])
-    np.testing.assert_allclose(after.GetAsMatrix4(), before.GetAsMatrix4(), atol=2e-3)
-    away = abs(null @ (bench.command()[:7] - IIWA))
-    assert away < 0.2 * np.exp(-6) + 5e-3
 
 
 @pytest.mark.parametrize(("arm", "q"), [("viper_s850", ELBOW_UP), ("lbr_iiwa_14", ASIDE)])

@@ -1,12 +1,11 @@
 import numpy as np
-import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from pydrake.math import RigidTransform, RotationMatrix
 from scipy.linalg import expm
 
 from sonoservo.systems.control import needle_features
-from sonoservo.systems.control.visual_features import interaction_matrix, saturated, servo_velocity
+from sonoservo.systems.control.visual_features import interaction_matrix, saturated
 
 lengths = st.floats(-0.1, 0.1)
 angles = st.floats(-np.pi / 2 + 0.01, np.pi / 2 - 0.01)
@@ -24,14 +23,6 @@ def moved(X_WP: RigidTransform, velocity, time: float) -> RigidTransform:
 def features_from(X_WP: RigidTransform, p_W, k_W):
     X_PW = X_WP.inverse()
     return needle_features(X_PW.multiply(p_W), X_PW.rotation().multiply(k_W))
-
-
-def test_theta_turns_from_x_to_z():
-    assert needle_features(np.zeros(3), np.array([1.0, 0, 1]))[2] == pytest.approx(np.pi / 4)
-    assert needle_features(np.zeros(3), np.array([0, 0, 1.0]))[2] == pytest.approx(np.pi / 2)
-    # A right-handed turn about +Y takes X towards -Z.
-    turned = RotationMatrix.MakeYRotation(0.3).matrix() @ [1, 0, 0]
-    assert needle_features(np.zeros(3), turned)[2] == pytest.approx(-0.3)
 
 
 @given(x=lengths, y=lengths, z=lengths, theta=angles, depth=st.floats(-2, 2))
@@ -54,14 +45,6 @@ def test_interaction_matrix_is_the_derivative_of_the_features(tip, theta, dip, v
     ahead, behind = (features_from(moved(X_WP, velocity, t), p_W, k_W) for t in (h, -h))
     L = interaction_matrix(features_from(X_WP, p_W, k_W))
     np.testing.assert_allclose((ahead - behind) / (2 * h), L @ velocity, atol=1e-7)
-
-
-def test_rates_keep_centred_what_moves():
-    features = np.array([0.01, -0.02, 0.3])
-    rates = np.array([0.004, -0.003, 0.1])
-    velocity = servo_velocity(features, gain=0.5, rates=rates)
-    total = interaction_matrix(features) @ velocity + rates
-    np.testing.assert_allclose(total, -0.5 * features, atol=1e-15)
 
 
 @given(velocity=st.tuples(*3 * [st.floats(-5, 5)]))

@@ -53,9 +53,7 @@ def test_feed_forward_carries_the_tip_on_to_now():
 @pytest.mark.parametrize(
     ("seen", "time", "parameters"),
     [
-        (estimate(mode=TrackingMode.LOST), 0.0, PAPER),
         (NeedleEstimate(TrackingMode.SEARCHING, 0.0), 0.0, PAPER),
-        (estimate(), 2.0, PAPER),
         (estimate(velocity_P=(0.01, 0, 0)), 0.0, replace(PAPER, gain=0.0, feed_forward=True)),
     ],
 )

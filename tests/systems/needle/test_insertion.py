@@ -110,13 +110,6 @@ def test_directions_spread_within_the_stated_bounds():
 BENT = {"bend_radius": 0.15, "start": 0.0, "entry": [0.0, 0.0, 0.0]}
 
 
-def test_a_needle_turned_before_it_is_pushed_bends_the_other_way():
-    push = Push(duration=10, speed=6e-3)
-    turned = make(**BENT, pushes=[Push(duration=2, turning_deg=60), Push(duration=1), push])
-    rolled = make(**BENT, bend_roll_deg=120.0, pushes=[push])
-    np.testing.assert_allclose(turned.needle(30).shaft, rolled.needle(30).shaft, atol=1e-15)
-
-
 def test_a_needle_turned_half_way_in_follows_the_bicycle_model():
     push = Push(duration=5, speed=6e-3)
     insertion = make(**BENT, pushes=[push, Push(), Push(duration=2, turning_deg=90), Push(), push])
@@ -130,18 +123,6 @@ def test_a_needle_turned_half_way_in_follows_the_bicycle_model():
     np.testing.assert_allclose(shaft[:, [2, 1, 0]], closed, atol=1e-12)
 
 
-def test_a_withdrawn_needle_goes_back_along_its_path():
-    out = Push(duration=10, speed=-5e-3)
-    insertion = make(
-        **BENT, ramp=0.1, pushes=[Push(duration=10, speed=5e-3, turning_deg=50), Push(), out]
-    )
-    for going, coming in ((2.15, 18.95), (6.25, 14.85), (9.25, 11.85)):
-        before, after = insertion.needle(going), insertion.needle(coming)
-        assert before.length == pytest.approx(after.length)
-        np.testing.assert_allclose(after.shaft, before.shaft, atol=1e-7)
-    assert not insertion.needle(30.0)
-
-
 def test_a_needle_that_is_outside_can_be_aimed_anew():
     pushes = [Push(duration=2, speed=1e-2), Push(duration=4, speed=-1e-2)]
     again = Push(duration=6, speed=1e-2, azimuth_deg=90.0)
@@ -153,15 +134,6 @@ def test_a_needle_that_is_outside_can_be_aimed_anew():
     )
     with pytest.raises(ValueError, match="pushes.1.azimuth_deg: 90.0 is not allowed"):
         make(pushes=[pushes[0], again])
-
-
-def test_a_needle_that_is_in_the_tissue_at_the_start_goes_on_from_there():
-    pushes = [Push(duration=5, speed=4e-3)]
-    insertion = make(start=1.0, pushes=pushes, initial_depth=0.03)
-    assert insertion.depth(0.0) == pytest.approx(0.03)
-    assert insertion.depth(60.0) == pytest.approx(0.05)
-    out = make(start=1.0, pushes=[Push(duration=5, speed=-8e-3)], initial_depth=0.03)
-    assert not out.needle(60.0)
 
 
 def test_the_part_in_the_tissue_at_the_start_was_cut_before_the_needle_was_turned():

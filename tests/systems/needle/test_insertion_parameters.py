@@ -60,21 +60,6 @@ def test_draws_are_within_their_ranges_and_fill_them():
     np.testing.assert_allclose(spread, expected, rtol=0.1, atol=1e-5)
 
 
-def test_wander_has_the_stated_deviation_and_no_wander_is_the_model():
-    depths = np.linspace(0.02, 0.12, 51)
-    shares = []
-    for seed in range(100):
-        insertion = make(seed, curvature_wander=0.1, bend_angle_spread_deg=0.0)
-        path = insertion.path
-        shaft = insertion.needle(insertion.end).shaft - insertion.parameters.entry
-        across = shaft[:, 2] * np.cos(path.roll) - shaft[:, 1] * np.sin(path.roll)
-        u = np.interp(depths, shaft[:, 0], across)
-        curvature = np.gradient(np.gradient(u, depths), depths)[2:-2]
-        shares.append(curvature * path.radius)
-    assert np.mean(shares) == pytest.approx(1.0, abs=0.04)
-    assert np.std(shares) == pytest.approx(0.1, rel=0.25)
-
-
 def test_a_straight_needle_can_be_fed():
     straight = InsertionParameters(feed=FeedParameters(depth=0.05), start=0.0, dip_deg=30.0)
     needle = Insertion(straight, np.random.default_rng(1)).needle(100.0)
@@ -95,6 +80,7 @@ def test_a_hand_pushes_an_uneven_path_with_rotations_too():
     # Withdrawn, the needle lies on the path that it has cut.
     s = np.linspace(0, 0.039, 14)
     np.testing.assert_allclose(back.position(s), deep.position(s), atol=5e-6)  # of their chords
+    assert insertion.path.wander.std() > 0.05
     path = insertion.path.positions(np.linspace(0, 0.08, 41))
     shaft = (deep.shaft - insertion.parameters.entry)[:, [0, 2, 1]] * [1, 1, -1]
     np.testing.assert_allclose(shaft, path, atol=1e-9)

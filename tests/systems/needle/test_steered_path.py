@@ -19,9 +19,6 @@ TILTS = st.floats(-0.3, 0.3)
 ROTATIONS = st.lists(st.integers(5, 70), max_size=4, unique=True).map(
     lambda depths: tuple(1e-3 * each for each in sorted(depths))
 )
-CUTS = st.lists(st.tuples(st.floats(1e-3, 0.03), ANGLES), min_size=1, max_size=6).map(
-    lambda arcs: tuple(np.array(each) for each in zip(*arcs, strict=True))
-)
 
 
 @st.composite
@@ -42,13 +39,6 @@ def test_rotations_by_180_deg_give_the_closed_form_of_the_bicycle_model(
     found = SteeredPath(radius, roll, angle, rotations).positions(np.linspace(0, 0.1, 57))
     closed = BicyclePath(radius=radius, angle=angle, plane=roll, rotations=rotations)
     np.testing.assert_allclose(found[:, [1, 2, 0]], closed.position(found[:, 0]), atol=1e-9)
-
-
-@given(path=paths(), cut=st.none() | CUTS)
-def test_length_of_the_path_is_the_distance_pushed(path, cut):
-    s = np.linspace(0, 0.06, 2401)
-    steps = np.linalg.norm(np.diff(path.positions(s, cut), axis=0), axis=1)
-    assert steps.sum() == pytest.approx(0.06, rel=1e-6)
 
 
 @given(path=paths(), depth=st.floats(1e-3, 0.05))

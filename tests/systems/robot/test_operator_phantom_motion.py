@@ -4,7 +4,7 @@ from pydrake.math import RigidTransform
 from pydrake.systems.analysis import Simulator
 
 from sonoservo.systems.robot import Breathing, OperatorPhantomMotion, PhantomMotionParameters
-from sonoservo.systems.robot.phantom_motion import next_move, phantom_trajectory
+from sonoservo.systems.robot.phantom_motion import phantom_trajectory
 
 X_WT = RigidTransform([0.5, 0.0, 0.2])
 SPEED = (0.04, 0.04, 0.015, 30.0, 30.0, 30.0)
@@ -35,9 +35,3 @@ def test_a_flood_of_targets_becomes_moves_that_give_the_same_motion(breathes):
     # From rest to rest the highest speed is half as high again as the mean.
     assert (np.abs(seen)[:, 6:9].max(axis=0) <= 1.5 * np.array(SPEED[:3]) + 1e-9).all()
     np.testing.assert_allclose(seen[-1], [0.52, -0.01, 0.205, 0, 0, 0.2, *6 * [0]], atol=1e-8)
-
-
-def test_the_slowest_axis_sets_the_duration():
-    assert next_move([], [0.001, 0, 0.015, 0, 0, 0], 0.0, speed=SPEED).duration == 1.0
-    assert next_move([], [0.001, 0, 0, 0, 0, 60], 0.0, speed=SPEED).duration == 2.0
-    assert next_move([], [0.001, 0, 0, 0, 0, 0], 0.0, speed=SPEED).duration == 0.3

@@ -17,13 +17,20 @@ WIDE = CPU.exists() and "avx512f" in CPU.read_text()
 OURS = ["Haswell", "X86_V4 AVX512F AVX512CD AVX512_SKX AVX512_ICL AVX512_SPR"]
 
 
-@pytest.mark.parametrize("package", ["systems", "diagrams"])
+DEFAULT = ["1", "None", "passive", *(OURS if WIDE else ["None", "None"])]
+
+
 @pytest.mark.parametrize(
-    ("own", "expected"),
+    ("package", "own", "expected"),
     [
-        ({}, ["1", "None", "passive", *(OURS if WIDE else ["None", "None"])]),
-        ({"OMP_NUM_THREADS": "4"}, ["None", "4", "passive"]),
-        ({name: "3" for name in SET if name != "OMP_NUM_THREADS"}, ["3", "None", "3", "3", "3"]),
+        ("systems", {}, DEFAULT),
+        ("diagrams", {}, DEFAULT),
+        ("systems", {"OMP_NUM_THREADS": "4"}, ["None", "4", "passive"]),
+        (
+            "systems",
+            {name: "3" for name in SET if name != "OMP_NUM_THREADS"},
+            ["3", "None", "3", "3", "3"],
+        ),
     ],
 )
 def test_the_first_import_sets_what_the_user_has_not(package, own, expected):

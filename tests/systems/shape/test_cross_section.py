@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from pydrake.common.value import Value
@@ -6,10 +8,8 @@ from scipy.ndimage import gaussian_filter
 
 from sonoservo.systems.shape import CrossSectionLocalizer, CrossSectionParameters
 from sonoservo.systems.shape.cross_section import (
-    expected_position,
     find_again,
     find_first,
-    find_needle,
     image_mean,
     start_at,
     variance_image,
@@ -85,15 +85,6 @@ def test_a_cross_section_is_found_to_a_fraction_of_a_pixel(level_db):
     assert rms[1] < 0.3e-3 * 10 ** (-level_db / 20) + 0.005e-3
 
 
-def test_the_needle_is_found_by_itself_and_from_a_rough_hint():
-    axis = np.array([0.004, 0.03])
-    image = picture(axis, level_db=30)
-    assert np.allclose(find_needle(image, PARAMETERS), axis, atol=0.1e-3)
-    # A person who points at the first reverberation means the needle.
-    found = start_at(image, axis + np.array([0.4e-3, 0.8e-3]), PARAMETERS)
-    assert np.allclose(found.centre, axis, atol=0.1e-3)
-
-
 def test_following_does_not_drift():
     axis = np.array([0.0, 0.025])
     last = start_at(picture(axis), axis, PARAMETERS)
@@ -161,22 +152,11 @@ SLANTED = NeedleShape(
 )  # fmt: skip
 
 
-def test_it_is_expected_on_the_predicted_shape_once_enough_is_observed():
-    last = start_at(picture([0.0, 0.025]), [0.0, 0.025], PARAMETERS)
-    image = picture(depth=0.04)
-    follows = CrossSectionParameters(follow_shape_from=0.02)
-    place, std = expected_position(image, last, SLANTED, follows)
-    assert np.allclose(place, [6e-3, 0.025], atol=1e-6)
-    assert std == pytest.approx(follows.expected_std)  # this shape has no doubt
-    waits = CrossSectionParameters(follow_shape_from=0.021)
-    for shape, parameters in ((SLANTED, waits), (NotFound("no shape"), follows)):
-        assert np.allclose(expected_position(image, last, shape, parameters)[0], last.centre)
-
-
-def localize(track, image, shape=None):
+def localize(track, image, shape=None, click=None):
     localizer = CrossSectionLocalizer(parameters=PARAMETERS)
     context = localizer.CreateDefaultContext()
-    for name, value in (("slice", image), ("cross_section_track", track), ("shape", shape)):
+    inputs = {"slice": image, "cross_section_track": track, "shape": shape, "click": click}
+    for name, value in inputs.items():
         if value is not None:
             localizer.GetInputPort(name).FixValue(context, Value[object](value))
     return localizer.GetOutputPort("cross_section").Eval(context)
@@ -192,7 +172,8 @@ def test_localizer_finds_again_what_was_found_and_looks_at_a_slice_once():
     assert np.allclose(moved.centre, [0.5e-3, 0.025], atol=0.1e-3)
     # Out of reach of the last region of interest, but on the predicted shape.
     far = picture([6e-3, 0.025], seed=2, depth=0.04, time=2.0)
-    assert not localize(track, far)
+    for early in (None, replace(SLANTED, observed=9e-3)):
+        assert not localize(track, far, early)
     assert np.allclose(localize(track, far, SLANTED).centre, [6e-3, 0.025], atol=0.1e-3)
 
 
@@ -221,17 +202,11 @@ def test_a_click_off_the_needle_by_three_deviations_still_finds_it():
 
 def test_the_localizer_waits_for_a_click():
     axis = np.array([0.0, 0.025])
-    localizer = CrossSectionLocalizer(parameters=PARAMETERS)
-    context = localizer.CreateDefaultContext()
-    localizer.GetInputPort("slice").FixValue(context, Value[object](picture(axis)))
-    track = Value[object](CrossSectionTrack())
-    localizer.GetInputPort("cross_section_track").FixValue(context, track)
-    port = localizer.GetInputPort("click")
-    port.FixValue(context, Value[object](NotFound("no click")))
-    found = localizer.GetOutputPort("cross_section").Eval(context)
-    assert "nobody has clicked" in found.reason
-    port.FixValue(context, Value[object](ImageClick(axis + 0.5e-3)))
-    found = localizer.GetOutputPort("cross_section").Eval(context)
+    waiting, found = (
+        localize(CrossSectionTrack(), picture(axis), click=click)
+        for click in (NotFound("no click"), ImageClick(axis + 0.5e-3))
+    )
+    assert "nobody has clicked" in waiting.reason
     np.testing.assert_allclose(found.centre, axis, atol=0.12e-3)
 
 

@@ -139,15 +139,6 @@ def test_slices_without_needle_beyond_the_limit_or_seen_before_change_nothing(na
     assert np.array_equal(missing[-1].tip, missing[-2].tip)
 
 
-def test_frame_may_be_given_before_the_needle_is_seen():
-    path = BicyclePath(radius=1.2, angle=0.03, rotations=(0.04,))
-    points = measured(path, np.arange(5e-3, 0.0401, 1e-3), 5e-6)
-    noise = MeasurementNoise(std=5e-6, independence=1.0)
-    shape_filter = make_filter("least_squares", depth=0.1, rotations=[0.04], noise=noise)
-    shape = shapes_of(ShapeEstimator(shape_filter=shape_filter, X_WI=X_WI, period=1.0), points)[-1]
-    assert np.allclose(shape.tip, X_WI.multiply(path.position(0.1)), atol=0.05e-3)
-
-
 def test_the_printed_filter_waits_for_10_mm_and_loses_its_spread():
     path = BicyclePath(radius=1.5, angle=0.03)
     points = measured(path, np.arange(0, 0.0601, 0.5e-3), 0.1e-3)
@@ -181,25 +172,10 @@ class MeanFilter:
         )
 
 
-def test_a_filter_of_ones_own_fits_in():
+def test_a_filter_of_ones_own_fits_in_a_given_frame():
     estimator = ShapeEstimator(shape_filter=MeanFilter(), X_WI=X_WI, period=1.0)
-    shape = shapes_of(estimator, np.array([[1e-3, 0, 0], [3e-3, 0, 1e-3]]))[-1]
+    shape = shapes_of(estimator, np.array([[1e-3, 0, 5e-3], [3e-3, 0, 6e-3]]))[-1]
     assert np.allclose(X_WI.inverse().multiply(shape.tip), [2e-3, 0, 0.1])
-
-
-@pytest.mark.parametrize("name", SOUND)
-def test_an_unexpected_measurement_weighs_less(name):
-    shape_filter = make_filter(name, depth=0.1)
-    rng = np.random.default_rng(1)
-    path = BicyclePath(radius=1.5)
-    belief = shape_filter.begin(rng)
-    for point in measured(path, np.arange(0, 0.03, 1e-3), 0.1e-3):
-        belief = shape_filter.update(belief, point, rng)
-    off = path.position(0.03) + np.array([0.0, 3e-3, 0.0])
-    belief = shape_filter.update(belief, off, rng)
-    still = belief.levels[0] if name == "particle_filter" else belief
-    assert np.median(still.weights) == 1.0
-    assert still.weights[-1] < 0.2
 
 
 @pytest.mark.parametrize("breath", [0.0, 0.5e-3], ids=["rests", "breathes"])

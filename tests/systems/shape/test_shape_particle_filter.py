@@ -70,16 +70,6 @@ def test_modes_have_the_variance_of_curvature_integrated_twice():
     np.testing.assert_allclose(modes @ modes.T, covariance, rtol=0.01, atol=1e-3 * covariance.max())
 
 
-def test_simulated_needles_wander_as_the_modes_do():
-    rng = np.random.default_rng(3)
-    ends = []
-    for _ in range(200):
-        path = SteeredPath(radius=1.5, wander=draw_wander(0.16, 0.2, 0.02, rng))
-        ends.append(path.positions(np.array([DEPTH]))[0, 1])
-    expected = 0.2 / 1.5 * np.linalg.norm(wander_modes(DEPTH, (), 0.02).at([DEPTH]))
-    assert np.std(ends) == pytest.approx(expected, rel=0.15)
-
-
 def test_the_posterior_is_the_exact_one_of_the_linear_model():
     # Amplitudes and noise known, and paths so flat that the model is linear.
     wander = WanderParameters(amplitude=0.2, spread=1e-3, across=1e-4, across_spread=1e-3)

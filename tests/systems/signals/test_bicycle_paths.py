@@ -1,7 +1,6 @@
 from itertools import pairwise
 
 import numpy as np
-import pytest
 from bicycle_model import BicyclePath
 from hypothesis import assume, given
 from hypothesis import strategies as st
@@ -38,9 +37,3 @@ def test_closed_form_solves_the_differential_equation(radius, angle, rotations):
     depths = np.linspace(0, 0.14, 29)
     assume(abs(angle) + 0.2 / radius < 1.2)
     assert np.allclose(path.deflection(depths), path_by_solver(path, depths), atol=1e-8)
-
-
-def test_a_path_that_turns_back_has_no_deflection_further_on():
-    path = BicyclePath(radius=0.1)
-    with pytest.raises(ValueError, match="reaches"):
-        path.deflection(0.11)

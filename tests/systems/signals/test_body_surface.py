@@ -30,22 +30,9 @@ def test_an_ellipsoid_s_normal_stands_on_its_top():
     np.testing.assert_allclose(normal[:2] / normal[2], np.negative(slopes), rtol=1e-4)
 
 
-def test_a_needle_enters_a_box_through_its_side_or_its_top():
-    aim = [0.0, 0.0, -0.045]
-    np.testing.assert_allclose(BOX.entry(aim, line(0, 0)), [-0.12, 0, -0.045], atol=1e-12)
-    np.testing.assert_allclose(BOX.entry(aim, line(90, 0)), [0, -0.08, -0.045], atol=1e-12)
-    np.testing.assert_allclose(BOX.entry(aim, line(180, 45)), [0.045, 0, 0], atol=1e-12)
-    np.testing.assert_allclose(BOX.entry(aim, line(0, -90)), [0, 0, -0.08], atol=1e-12)
-
-
-def test_a_needle_enters_a_cylinder_where_a_chord_meets_the_circle():
-    entry = LIMB.entry([0.02, 0.01, -0.03], line(90, 0))
-    np.testing.assert_allclose(entry, [0.02, -np.sqrt(0.06**2 - 0.03**2), -0.03], atol=1e-12)
-    along = LIMB.entry([0.02, 0.01, -0.03], line(180, 0))
-    np.testing.assert_allclose(along, [0.15, 0.01, -0.03], atol=1e-12)
-
-
-@given(azimuth=st.floats(0, 360), dip=st.floats(0, 70), shape=st.sampled_from([BOX, LIMB, ABDOMEN]))
+@given(
+    azimuth=st.floats(0, 360), dip=st.floats(-90, 90), shape=st.sampled_from([BOX, LIMB, ABDOMEN])
+)
 def test_every_entry_is_on_the_surface_and_every_line_then_inside(azimuth, dip, shape):
     aim, along = np.array([0.01, -0.01, -0.04]), line(azimuth, dip)
     entry = shape.entry(aim, along)

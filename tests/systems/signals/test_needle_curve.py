@@ -3,7 +3,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from pydrake.math import RigidTransform, RollPitchYaw
 from scipy.interpolate import KroghInterpolator
 
 from sonoservo.systems.signals import Needle, NeedleCurve, NeedlePrediction
@@ -20,14 +19,6 @@ def test_passes_through_its_points_as_the_one_polynomial_that_does(control_point
     np.testing.assert_allclose(curve.position(u), expected, atol=1e-9)
     powers = u ** np.arange(curve.order)
     np.testing.assert_allclose(curve.coefficients @ powers, expected, atol=1e-9)
-
-
-@given(points, st.floats(-3, 3), st.floats(-3, 3))
-def test_moves_with_its_frame(control_points, yaw, x):
-    X = RigidTransform(RollPitchYaw(0.3, -0.2, yaw), [x, 1, 2])
-    moved = NeedleCurve(control_points).transformed(X)
-    expected = X.multiply(NeedleCurve(control_points).position([0.3]).T).T
-    np.testing.assert_allclose(moved.position([0.3]), expected, atol=1e-12)
 
 
 @pytest.mark.parametrize("count", [1, 5])

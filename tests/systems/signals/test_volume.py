@@ -33,20 +33,6 @@ def test_bad_volumes_are_refused(changes):
         make(**changes)
 
 
-def test_at_once_everything_was_acquired_in_the_middle_from_one_pose():
-    volume = Scene().volume(1)
-    poses = volume.motion.X_WP.copy()
-    poses[:, 0, 3] += np.linspace(-1e-3, 1e-3, len(poses))
-    moving = replace(volume, motion=replace(volume.motion, X_WP=poses))
-    p_P = np.array([[0.0, 0.05, -0.02], [0.0, 0.05, 0.02]])
-    p_W, times = moving.at_once().to_world(p_P)
-    np.testing.assert_allclose(p_W, moving.X_WP.multiply(p_P.T).T)
-    np.testing.assert_allclose(times, moving.time)
-    assert np.ptp(moving.to_world(p_P)[1]) > 0.05
-    plain = replace(volume, motion=None)
-    assert plain.at_once() is plain
-
-
 def test_what_was_seen_is_the_mask_or_the_sector_or_the_hull():
     volume = Scene().volume(1)
     inside = volume.intensities > 0  # this scene has no black speckle

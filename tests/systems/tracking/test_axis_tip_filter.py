@@ -112,6 +112,7 @@ def test_entry_rests_while_the_tip_advances():
     state = FILTER.start(measurement([0, 0, 0], [0.02, 0, 0]))
     # What the entry and the tip have in common is their covariance too.
     np.testing.assert_allclose(state.covariance[3:6, 3:6], NOISE[3:, 3:], atol=1e-12)
+    np.testing.assert_allclose(state.covariance[1:3, 1:3], NOISE[1:3, 1:3], atol=1e-12)
     for n in range(1, 8):
         tip = [0.02 + 0.003 * n, 0, 0]
         found = measurement([0, 0, 0], tip, float(n))

@@ -71,12 +71,6 @@ def test_unlike_images_tell_nothing_about_a_shift(away):
     assert (known[1] > 1 / 0.3e-3**2).all()
 
 
-def test_nothing_in_common_is_no_shift():
-    dark = replace(cells(), lit=np.zeros(SHAPE, bool))
-    for each in tissue_shift(dark, cells(), np.eye(4), STARTS):
-        np.testing.assert_array_equal(each, 0)
-
-
 def test_cells_are_the_means_of_what_was_seen_above_their_surroundings():
     seen = np.ones((64, 60, 62), bool)
     seen[:, :20] = False

@@ -75,15 +75,6 @@ def test_a_hand_that_stops_is_noticed():
     assert moving.velocity[1][0] == pytest.approx(8e-3, abs=0.5e-3)
 
 
-def test_a_needle_at_rest_is_steady_and_one_that_starts_advances():
-    even = [measurement(k) for k in range(20)]
-    rested = follow(even)
-    assert rested.weights.reshape(4, 3).sum(axis=1)[0] > 0.8
-    assert rested.weights[1::3].sum() > 0.8
-    started = [*even, measurement(20, 0.033), measurement(21, 0.036)]
-    assert follow(started).weights[::3].sum() > 0.8
-
-
 @pytest.mark.parametrize(
     ("speed", "follows", "least", "off"), [(5e-3, True, 0.9, 0.2e-3), (2e-3, False, 0.6, 0.6e-3)]
 )

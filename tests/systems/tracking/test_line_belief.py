@@ -1,7 +1,7 @@
 """The belief about all lines, in volumes in which a needle is pushed in beside what rests."""
 
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, reduce
 
 import numpy as np
 import pytest
@@ -57,10 +57,7 @@ def volumes(needle, moving, slower=1):
 
 
 def followed(images):
-    belief = LineBelief()
-    for each in images:
-        belief = follow(belief, each)
-    return belief
+    return reduce(follow, images, LineBelief())
 
 
 @pytest.fixture(scope="module")

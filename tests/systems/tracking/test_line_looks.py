@@ -99,8 +99,3 @@ def test_a_width_is_relative_to_the_larger_blur_across_the_line(blur):
     blur(0.6e-3, 0.6e-3, 0.9e-3)
     expected = plain * np.hypot(0.6, 0.45) / np.hypot(0.9, 0.45)
     assert features(line)["width"] == pytest.approx(expected)
-
-
-def test_what_lies_along_the_border_of_the_field_of_view_has_a_rim(blur):
-    edge = features(lambda below, aside, x: np.where(aside < 1.5e-3, line(below, aside), 0))
-    assert 0.3 < edge["rim"] < 0.5

@@ -11,42 +11,26 @@ from sonoservo.systems.tracking.pipeline import explain_localization
 ENDS = entry_on_side() + np.outer([0, 0.03], [0.96, 0.24, 0.1])
 
 
-class Bench:
-    """The leaf with its inputs in hand."""
+def test_leaf_measures_and_explains_or_says_what_is_missing():
+    parameters = NeedleLocalizerParameters()
+    localizer = NeedleLocalizer(localize=partial(explain_localization, parameters=parameters))
+    context = localizer.CreateDefaultContext()
 
-    def __init__(self):
-        self.localizer = NeedleLocalizer(
-            localize=partial(explain_localization, parameters=NeedleLocalizerParameters())
-        )
-        self.context = self.localizer.CreateDefaultContext()
-        self.fix("prediction", self.prediction())
+    def outputs(volume, prediction):
+        for name, value in (("volume", volume), ("prediction", prediction)):
+            localizer.GetInputPort(name).FixValue(context, Value[object](value))
+        ports = map(localizer.GetOutputPort, ("measurement", "explanation"))
+        return [port.Eval(context) for port in ports]
 
-    def prediction(self):
-        curve = NeedleCurve(ENDS)
-        return NeedlePrediction(2, 0.0, curve, np.zeros((2, 3)), 1e-6 * np.eye(6), curve.entry)
-
-    def fix(self, port, value):
-        self.localizer.GetInputPort(port).FixValue(self.context, Value[object](value))
-
-    def output(self, port):
-        return self.localizer.GetOutputPort(port).Eval(self.context)
-
-
-def test_measures_and_explains():
-    bench = Bench()
-    bench.fix("volume", Scene(seed=5, spacing=1e-3).volume(1, lambda time: ENDS))
-    found = bench.output("measurement")
+    curve = NeedleCurve(ENDS)
+    expected = NeedlePrediction(2, 0.0, curve, np.zeros((2, 3)), 1e-6 * np.eye(6), curve.entry)
+    volume = Scene(seed=5, spacing=1e-3).volume(1, lambda time: ENDS)
+    found, explanation = outputs(volume, expected)
     assert isinstance(found, NeedleMeasurement)
-    assert bench.output("explanation").measurement is found
-    assert bench.output("explanation").attempts
-
-
-def test_says_what_is_missing():
-    bench = Bench()
-    for port in ("measurement", "explanation"):
-        bench.fix("volume", NotFound("no sweep"))
-        assert bench.output(port).reason == "no sweep"
-    bench.fix("volume", Scene(seed=5, spacing=1e-3).volume(1))
-    bench.fix("prediction", NotFound("nothing is expected"))
-    assert bench.output("measurement").reason == "nothing is expected"
-    assert bench.output("explanation").attempts == ()
+    assert explanation.measurement is found
+    assert explanation.attempts
+    for output in outputs(NotFound("no sweep"), expected):
+        assert output.reason == "no sweep"
+    found, explanation = outputs(volume, NotFound("nothing is expected"))
+    assert found.reason == "nothing is expected"
+    assert explanation.attempts == ()

@@ -1,4 +1,4 @@
-"""Life of a track, with a filter that believes all it is told."""
+"""Life of a track."""
 
 import dataclasses
 
@@ -7,7 +7,6 @@ import pytest
 from pydrake.math import RigidTransform
 
 from sonoservo.systems.signals import (
-    Immutable,
     LineHypotheses,
     NeedleCurve,
     NeedleMeasurement,
@@ -18,6 +17,7 @@ from sonoservo.systems.signals import (
 )
 from sonoservo.systems.signals.line_hypotheses import LINE_CLASSES
 from sonoservo.systems.tracking import TrackParameters
+from sonoservo.systems.tracking.axis_tip_filter import AxisTipFilter
 from sonoservo.systems.tracking.control_point_filter import ControlPointFilter
 from sonoservo.systems.tracking.track import Track
 from sonoservo.systems.tracking.track_lifecycle import TrackLifecycle
@@ -32,43 +32,11 @@ NOTHING = {
 }
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Belief(Immutable):
-    """A needle that rests, 1 mm uncertain."""
-
-    time: float
-    curve: NeedleCurve
-    told: tuple = ()
-
-    velocity = np.zeros((2, 3))
-    covariance = 1e-6 * np.eye(12)
-
-    def transformed(self, X):
-        return dataclasses.replace(self, curve=self.curve.transformed(X))
-
-
-class FakeFilter:
-    """Believes the newest measurement, and notes what it was told."""
-
-    orders = (2,)
-
-    def start(self, measurement):
-        return Belief(measurement.time, measurement.curve, ("start",))
-
-    def predict(self, state, time):
-        return dataclasses.replace(state, time=time)
-
-    def update(self, state, measurement, velocity):
-        told = tuple(type(each).__name__ for each in (measurement, velocity))
-        curve = state.curve if measurement is None else measurement.curve
-        return dataclasses.replace(state, curve=curve, told=told)
-
-
 def lifecycle(anywhere=False, needle_filter=None, **parameters):
     return TrackLifecycle(
         order=2,
         parameters=TrackParameters(**parameters),
-        needle_filter=needle_filter or FakeFilter(),
+        needle_filter=needle_filter or ControlPointFilter(),
         anywhere=anywhere,
     )
 
@@ -211,21 +179,6 @@ def test_a_track_in_the_probe_s_frame_is_carried_along():
     np.testing.assert_allclose(predicted.entry, [0.0, 0.01, 0.0])
 
 
-def test_the_filter_is_told_what_is_believed():
-    life = lifecycle()
-    speed = VelocityMeasurement(np.zeros(3), np.eye(3), 0.9)
-    track = life.next(
-        tracked(life), 1.0, **NOTHING | {"measurement": measurement(0.031, 0.9), "velocity": speed}
-    )
-    assert track.state.told == ("NeedleMeasurement", "VelocityMeasurement")
-    assert (track.mode, track.time, track.since) == (TrackingMode.TRACKING, 0.9, 0.9)
-    assert 0 < track.innovation < life.gate
-    coasted = life.next(track, 1.3, **NOTHING | {"velocity": speed})
-    assert coasted.state.told == ("NoneType", "VelocityMeasurement")
-    assert (coasted.mode, coasted.time, coasted.since) == (TrackingMode.COASTING, 1.3, 0.9)
-    assert coasted.innovation is None
-
-
 def test_two_rejected_measurements_that_agree_start_anew():
     life = lifecycle()
     track = life.next(tracked(life), 1.0, **NOTHING | {"measurement": measurement(y=0.02)})
@@ -234,9 +187,10 @@ def test_two_rejected_measurements_that_agree_start_anew():
     assert track.innovation > life.gate
     elsewhere = life.next(track, 1.3, **NOTHING | {"measurement": measurement(y=-0.02)})
     assert elsewhere.mode == TrackingMode.COASTING
-    again = life.next(track, 1.3, **NOTHING | {"measurement": measurement(y=0.021)})
+    found = measurement(y=0.021)
+    again = life.next(track, 1.3, **NOTHING | {"measurement": found})
     assert again.mode == TrackingMode.TRACKING
-    assert again.state.told == ("start",)
+    np.testing.assert_array_equal(again.state.mean, life.needle_filter.start(found).mean)
     assert again.rejected is None
 
 
@@ -251,7 +205,7 @@ def test_coast_lose_find_again_and_give_up():
 
 
 def test_a_needle_that_comes_out_ends_its_track():
-    life = lifecycle(needle_filter=ControlPointFilter())
+    life = lifecycle()
     track = tracked(life)
     for time in 0.3 * np.arange(1, 50):
         tip = 0.03 - 0.0217 * time
@@ -263,7 +217,7 @@ def test_a_needle_that_comes_out_ends_its_track():
 
 
 def test_a_needle_that_tissue_carries_along_is_not_lost_at_once():
-    life = lifecycle(needle_filter=ControlPointFilter(), volumes_to_lose=4)
+    life = lifecycle(volumes_to_lose=4)
     for carried, mode in ((True, TrackingMode.COASTING), (False, TrackingMode.LOST)):
         track = tracked(life)
         for time in 0.3 * np.arange(1, 5):
@@ -276,6 +230,21 @@ def test_a_needle_that_tissue_carries_along_is_not_lost_at_once():
 
 def test_without_filtering_every_measurement_starts_anew():
     life = lifecycle(filtering=False)
-    track = life.next(tracked(life), 1.0, **NOTHING | {"measurement": measurement(0.09, y=0.1)})
+    found = measurement(0.09, y=0.1)
+    track = life.next(tracked(life), 1.0, **NOTHING | {"measurement": found})
     assert track.mode == TrackingMode.TRACKING
-    assert track.state.told == ("start",)
+    np.testing.assert_array_equal(track.state.mean, life.needle_filter.start(found).mean)
+
+
+@pytest.mark.parametrize("seen", [measurement(time=0.3), NotFound("nothing seen")])
+def test_a_measured_velocity_counts_with_and_without_a_needle_in_sight(seen):
+    life = lifecycle(needle_filter=AxisTipFilter())
+    speed = VelocityMeasurement([0.01, 0, 0], 1e-8 * np.eye(3), 0.9)
+    told, untold = (
+        life.next(tracked(life), 0.3, **NOTHING | {"measurement": seen, "velocity": velocity})
+        for velocity in (speed, NotFound("not measured"))
+    )
+    assert told.state.tip_velocity[0] > untold.state.tip_velocity[0] + 5e-3
+    assert (told.mode, told.innovation is None) == (
+        (TrackingMode.TRACKING, False) if seen else (TrackingMode.COASTING, True)
+    )

@@ -126,15 +126,6 @@ def test_explanation_tells_how_far_the_measurement_lies_from_the_prediction():
     assert f"{explained.innovation:.1f} standard deviations" in estimate.reason
 
 
-def test_a_lost_needle_is_found_again():
-    bench = Bench(volumes_to_lose=1)
-    bench.track()
-    assert bench.step(0.9).mode == TrackingMode.LOST
-    estimate = bench.step(1.2, lines=lines(), measurement=measurement(0.08, 1.2, y=0.04))
-    assert estimate.mode == TrackingMode.TRACKING
-    np.testing.assert_allclose(estimate.curve.tip, [0.08, 0.04, 0])
-
-
 def test_in_the_probe_s_frame_velocity_is_that_in_the_image():
     """A probe that keeps up with the needle sees it at rest."""
     velocity = {}
