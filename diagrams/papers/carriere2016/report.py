@@ -270,7 +270,7 @@ def set_rows(name: str, outcomes: Sequence[Outcome]) -> list[StudyRow]:
                     needles.mean(method, "tip_error_{}_mm"))  # fmt: skip
     both("tip error, root mean square", "mm",
          lambda m: Value(_figure(_rms, needles.column(m, "tip_error_true_mm"))))  # fmt: skip
-    least = np.array([each.get("bound", {}).get("tip_mm", np.nan) for each in needles.results])
+    least = np.array([each.get("bound", {}).get("tip_mm") for each in needles.results], float)
     needles.row("tip error, bound of the root mean square", "mm", Value(_figure(_rms, least)))
     judged = TAUGHT if needles.has(TAUGHT) else OURS
     for key in ("tip", "shape"):
