@@ -96,6 +96,9 @@ def test_a_needle_without_prediction_counts_with_the_worst_error(study):
     assert by_name["measured tips that are missing"].true == 50.0
     # Coverage is known of one needle only.
     assert by_name["tip within its 95 %, default wander"].low < 25
+    unknown = replace(good[1], result={**good[1].result, "bound": {"tip_mm": None}})
+    by_name = {row.quantity: row for row in set_rows("patient", [unknown])}
+    assert by_name["tip error, bound of the root mean square"].true is None
 
 
 def test_parameters_of_the_published_method_are_swept(study):
