@@ -248,7 +248,7 @@ def drive_command(
     with refusing(loaded):
         following = replace(following, duration=duration)
     viewed = ViewedRun(log, following)
-    folder = results.out or Path("out") / f"{loaded.name}_driven_seed{loaded.seed}"
+    folder = results.out or free_folder(f"{loaded.name}_driven_seed{loaded.seed}")
     pages = open_pages(f"{loaded.name}, driven", page)
     act = partial(
         drive,

@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from sys import UnraisableHookArgs
 
-PATIENCE = 3.0
-"""Time in s from an interruption to the end of the program, whatever it is doing."""
+PATIENCE = 9.0
+"""Time in s from an interruption to the end of the program, whatever it is doing: enough for a
+report on a busy machine, and less than the 10 s after which containers are killed."""
 
 INTERRUPTED = 130
 """Exit code after Ctrl-C."""
@@ -88,6 +89,8 @@ def _end_in_time(watch: socket.socket, wake: socket.socket) -> None:
         while (second := watch.recv(1)) and second[0] not in _SIGNALS:
             pass
     except TimeoutError:
-        os.write(2, b"\nsonoservo: ended; what was not written yet is left out\n")
+        os.write(
+            2, b"\nsonoservo: ended by the interruption; what was not written by now is left out\n"
+        )
     wake.close()
     os._exit(128 + first[0])

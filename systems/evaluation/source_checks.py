@@ -33,6 +33,10 @@ arrival rather than of acquisition."""
 _NOT_RIGID = 1e-2  # deviation of a matrix from a rotation that rounding to two decimals explains
 _STILL_MM, _STILL_DEG = 0.02, 0.01  # spread of poses of a tracker that measures: none is quieter
 
+_LEAST_MM, _SMOOTH = 0.5, 6.0
+"""Way in mm that no one moves a probe on purpose, and its ratio to a median step from which it is
+a motion: the noise of a tracker at rest spreads over some four steps."""
+
 _LEVER_MM = 1.0  # no tracked tool turns about a point that is nearer to it
 _TOOLS = ("Probe", "Image")  # beginnings of the names of transforms from what a hand moves
 _INVERTED, _WIDE_MM = 4.0, 50.0
@@ -174,6 +178,9 @@ class _Fault(Enum):
     REPEATED = (Check.MOTION, Grade.DOUBTFUL,
                 "{name}: {share:.0f} % of the poses repeat the one before",
                 "let the tracker measure at least as often as images are taken")  # fmt: skip
+    SMALL_WAY = (Check.MOTION, Grade.DOUBTFUL,
+                 "{name} moves smoothly, but over {spread:.2g} mm only",
+                 "are positions in mm?")  # fmt: skip
     UNMOVED = (Check.MOTION, Grade.DOUBTFUL,
                "{name} turns by {turned:.3g} deg, but moves over {spread:.2g} mm only",
                "are positions in mm?")  # fmt: skip
@@ -227,6 +234,9 @@ class _Fault(Enum):
              "{count} of {read} volumes that were read show less of the box than the others, such "
              "as volume {number}: {share:.0f} % instead of {usual:.0f} %",
              "look for NaN, for lost slices, and for markers of what was not seen")  # fmt: skip
+    LOST_SLICES = (Check.CONTENT, Grade.DOUBTFUL,
+                   "{count} whole slices in the midst of the box show nothing",
+                   "look for NaN, and for markers of what was not seen")  # fmt: skip
     FROZEN = (Check.CONTENT, Grade.DOUBTFUL,
               "{count} of {read} {what} that were read repeat the one before exactly, such as "
               "number {number}",
@@ -382,6 +392,8 @@ def check_motion(name: str, matrices: ArrayLike, times: ArrayLike) -> list[Findi
         return [*findings, _fine(Check.MOTION, text)]
     if spread < _LEVER_MM * np.radians(turned):
         findings.append(_Fault.UNMOVED(name=name, spread=spread, turned=turned))
+    elif spread < _LEAST_MM and spread > _SMOOTH * _usual_step(p):
+        findings.append(_Fault.SMALL_WAY(name=name, spread=spread))
     elif name.startswith(_TOOLS) and spread > max(_INVERTED * inverse, _WIDE_MM):
         findings.append(_Fault.INVERTED(name=name, spread=spread, inverse=inverse))
     else:
@@ -396,6 +408,12 @@ def check_motion(name: str, matrices: ArrayLike, times: ArrayLike) -> list[Findi
         most = 1e3 * steps[jumps].max()
         findings.append(_Fault.JUMPS(name=name, jumps=int(jumps.sum()), most=most))
     return findings
+
+
+def _usual_step(p: NDArray[np.float64]) -> float:
+    """Return the median of the steps between (n, 3) positions that differ, in their unit."""
+    steps = np.abs(np.diff(p, axis=0)).max(axis=1)
+    return float(np.median(steps[steps > 0])) if steps.any() else 0.0
 
 
 def check_spacing(spacing: ArrayLike, shape: ArrayLike) -> list[Finding]:
@@ -420,6 +438,7 @@ def check_volume(volume: Volume) -> list[Finding]:
     compression = _check_compression(volume)
     return [
         _check_empty(volume),
+        *_check_slices(volume),
         *compression,
         *([] if gravest(compression) else _check_saturation(volume)),
         *_check_direction(volume),
@@ -443,6 +462,15 @@ def check_seen(shares: Mapping[int, float]) -> list[Finding]:
             usual=100 * usual,
         )
     ]
+
+
+def _check_slices(volume: Volume) -> list[Finding]:
+    """Check that what was seen has no gap of whole slices."""
+    lost = 0
+    for axis in range(3):
+        shown = volume.seen.any(axis=tuple({0, 1, 2} - {axis}))
+        lost += int((~np.trim_zeros(shown)).sum())
+    return [_Fault.LOST_SLICES(count=lost)] if lost else []
 
 
 def _check_saturation(volume: Volume) -> list[Finding]:

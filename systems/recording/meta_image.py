@@ -6,6 +6,7 @@ header such as ``NDims = -1``; the tests use it as a reference.
 
 import re
 from collections.abc import Mapping
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
@@ -51,6 +52,7 @@ _DIRECTIONS = ("TransformMatrix", "Rotation", "Orientation")
 _BIG_ENDIAN = ("BinaryDataByteOrderMSB", "ElementByteOrderMSB")
 # Alternative names of each field; the first one present counts.
 _SPACING = ("ElementSpacing", "ElementSize")
+_ALTERNATIVES = tuple(map(frozenset, (_ORIGIN, _DIRECTIONS, _BIG_ENDIAN, _SPACING)))
 FIELDS = {
     **dict.fromkeys(
         (
@@ -79,6 +81,16 @@ def open_meta_image(path: Path, *, frames: bool = False) -> VolumeFile:
     """Open a MetaImage file with one volume, or with a sequence of them along a fourth axis."""
     with refusing_failures(path, "its header is not valid"):
         return _describe(path, *_read_header(path), frames)
+
+
+def _refuse_misspelt(path: Path, fields: Mapping[str, str]) -> None:
+    """Raise ConfigurationError if an unknown field is nearly one that is used and missing."""
+    given = {name for group in _ALTERNATIVES if not group.isdisjoint(fields) for name in group}
+    missing = [name for name, use in FIELDS.items() if use == FieldUse.USED]
+    missing = [name for name in missing if name not in given and name not in fields]
+    for name in fields:
+        if name not in FIELDS and (near := get_close_matches(name, missing, 1, cutoff=0.85)):
+            raise ConfigurationError(f"{path}: {name}: unknown; did you mean {near[0]!r}?")
 
 
 def _describe(
@@ -128,6 +140,7 @@ def _describe(
     def rescaled(number: int) -> NDArray[Any]:
         return read(number) * slope + shift
 
+    _refuse_misspelt(path, fields)
     fields = numbered_fields(fields, FIELDS, count)
     notes = [*data.notes(), *unknown_fields("MetaImage", fields, FIELDS)]
     if not frames:

@@ -358,7 +358,7 @@ def check_command(
         name = address.file_name
         checked = check_stream(address, reading, seconds=seconds, patience=patience, say=say)
     else:
-        name = Path(source).name.partition(".")[0]
+        name = Path(source).name
         with console.status("looking at the volumes"):
             checked = check_file(Path(source), reading)
     console.print(findings_table(checked.findings))

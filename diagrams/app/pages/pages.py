@@ -11,6 +11,7 @@ from pydrake.geometry import Meshcat
 from rich.console import Console as Terminal
 from rich.text import Text
 
+from sonoservo.diagrams.app.interruption import is_interrupted
 from sonoservo.diagrams.app.options import Page
 from sonoservo.systems.display.console.console import Console
 from sonoservo.systems.display.pages.meshcat_page import open_meshcat
@@ -44,7 +45,7 @@ class Pages:
         self.console.controls.offer([])
         self.console.controls.offer_buttons()
         self.console.say(ended=said, paused=False, pace="")
-        if terminal.is_interactive and sys.stdin.isatty():
+        if terminal.is_interactive and sys.stdin.isatty() and not is_interrupted():
             terminal.print("The page stays open: press Enter to end.")
             with suppress(EOFError, KeyboardInterrupt):
                 input()

@@ -38,7 +38,11 @@ from sonoservo.systems.evaluation.reports.track_plots import (
     plot_planes,
     plot_tip,
 )
-from sonoservo.systems.evaluation.reports.verdict import found_words, recording_verdict
+from sonoservo.systems.evaluation.reports.verdict import (
+    following_verdict,
+    found_words,
+    recording_verdict,
+)
 from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.evaluation.run_logger import visible_length
 from sonoservo.systems.files.refusals import ConfigurationError
@@ -77,7 +81,12 @@ class TrackedRecording(RunResult):
 
     @property
     def found(self) -> str:
-        """When a needle was found, how often it was tracked and where its tip was last."""
+        """When a needle was found, how often it was tracked and where its tip was last.
+
+        With the truth beside the recording, it is what that says of it.
+        """
+        if self.summary["truth"]:
+            return str(self.verdict)
         lengths = [each for each in self.in_view if np.isfinite(each)]
         beside = ", outside what the volumes show" if lengths and lengths[-1] == 0 else ""
         return f"{found_words(self.rows, self.summary['frame'])}{beside}."
@@ -249,7 +258,7 @@ def track_recording(
         }
         log = bench.log() if beside is None else beside.log()
         figures = summarize(log, reader=modes.reader)
-        kept = ("detection", "tracking", "compute_ms") if truth else ("compute_ms",)
+        kept = ("detection", "tracking", "success", "compute_ms") if truth else ("compute_ms",)
         summary |= {name: figures[name] for name in kept}
         if correct_poses:
             summary["pose_errors"] = pose_error_figures(bench.evaluate("pose_errors"))
@@ -265,10 +274,12 @@ def track_recording(
                 plots["tip.png"] = TIP_CAPTION, tip
             if truth is not None:
                 plots["errors.png"] = ERRORS_CAPTION, plot_errors(log)
+        verdict = recording_verdict(summary, rows)
+        if truth is not None:
+            verdict = following_verdict(summary | {"interrupted": False}, follows=False)
         result = TrackedRecording(
             summary, log, recording_labels(summary["modes"]) | LABELS, plots=plots,
-            verdict=recording_verdict(summary, rows), estimates=estimates, rows=rows, times=times,
-            in_view=in_view,
+            verdict=verdict, estimates=estimates, rows=rows, times=times, in_view=in_view,
         )  # fmt: skip
         if out is not None:
             with unwritten.collect():

@@ -9,6 +9,7 @@ from sonoservo.diagrams import run, track_recording
 from sonoservo.diagrams.app.cli import run_arguments
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.recording import Recording
+from sonoservo.systems.recording.side_files import TRUTH, side_path
 
 SHORT = ["duration=0.9", "imaging.frames=7", "imaging.volume_rate=8", "hand.start=0.2"]
 MINE = """
@@ -92,6 +93,11 @@ def test_a_function_runs_and_tracks_alike_whether_given_itself_or_by_its_factory
     np.testing.assert_array_equal([each.curve.tip for each in again.estimates], tips)
     factory = "own_tracker_of_a_test:make"
     command = ["track", str(path), "--tracker", "./own_tracker_of_a_test.py:make"]
+    assert run_arguments([*command, "--out", "judged"]) == 0
+    assert "No needle was found, and something else was taken for it" in " ".join(
+        capsys.readouterr().out.split()
+    )  # says the truth beside the recording
+    side_path(path, TRUTH).unlink()
     assert run_arguments([*command, "--json", "t.json", "--out", "t"]) == 0
     said = " ".join(capsys.readouterr().out.split())
     assert f"A needle was found at {again.times[0]:.2f} s and tracked in {len(tips)} of" in said
@@ -116,6 +122,7 @@ def test_volumes_count_if_the_estimates_do_not_name_them(mine):
 def test_what_was_tracked_before_a_failure_is_kept(mine, tmp_path):
     path = tmp_path / "a.seq.nrrd"
     run("chatelain2013_fig5", changes=SHORT, tracker=mine.make(), record=path)
+    side_path(path, TRUTH).unlink()
     result = track_recording(Recording(path), tracker=mine.failing_later(), out=tmp_path / "t")
     assert len((tmp_path / "t" / "estimates.csv").read_text().splitlines()) == 3
     assert not result.found.endswith("outside what the volumes show.")

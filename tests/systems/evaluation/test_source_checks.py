@@ -169,6 +169,8 @@ def test_blank_and_hollow_volumes_are_told(volume):
     hollow = volume.intensities * (RNG.random(volume.intensities.shape) < 0.4)
     hollow = Volume(hollow, np.zeros(3), volume.spacing, volume.X_WP, 0.0)
     assert "of what was seen is black" in worst(check_volume(hollow))[1]
+    shown = np.broadcast_to(abs(np.arange(86) - 6) > 1, volume.intensities.shape)
+    assert "3 whole slices" in str(check_volume(replace(volume, mask=shown.copy()))[1])
 
 
 def test_a_sector_on_its_head_too_much_gain_and_holes_are_told(volume):
@@ -291,6 +293,11 @@ def test_poses_in_metres_and_inverted_calibrations_are_told():
     assert worst(check_motion("TrackerToProbe", np.linalg.inv(far), angles)) is None
     matrices[:, :3, 3] *= 1e-3
     assert "are positions in mm?" in str(check_motion("ProbeToTracker", matrices, angles)[-1])
+    slid = np.tile(np.eye(4), (200, 1, 1))
+    slid[:, 0, 3] = np.linspace(0, 0.04, 200)
+    assert "moves smoothly" in str(check_motion("ProbeToTracker", slid, np.arange(200.0))[-1])
+    slid[:, :3, 3] = 0.1 * np.random.default_rng(3).normal(size=(200, 3))  # held
+    assert worst(check_motion("ProbeToTracker", slid, np.arange(200.0))) is None
     assert check_pixels("the frames", [0.7, 0.2]).grade is Grade.FINE
     assert "right way round" in check_pixels("the frames", [1.43, 1.43]).advice
     assert check_pixels("the frames", [1.0, 1.0]).advice == "calibrate ImageToProbe"

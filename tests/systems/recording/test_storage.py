@@ -331,6 +331,7 @@ REFUSED = {
     "channels": (["ElementNumberOfChannels = 2"], "3 or 4 for colours"),
     "unit": (["DistanceUnits = inch"], "DistanceUnits"),
     "axes": (["NDims = 4"], "as many as NDims"),
+    "misspelt": (["ElementSpacng = 1 1 1"], "did you mean 'ElementSpacing'"),
 }
 
 

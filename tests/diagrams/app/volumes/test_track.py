@@ -68,6 +68,7 @@ def test_a_recording_gives_the_estimates_of_the_live_run_exactly(live, tmp_path)
     R_PW = volume.X_WP.rotation().matrix().T
     expected = 1e6 * R_PW @ seen.estimates[-1].tip_covariance @ R_PW.T
     np.testing.assert_allclose(stated, np.triu(expected), atol=1e-9)
+    assert seen.verdict.headline == result.verdict.headline  # the truth is beside the recording
     assert "tip error, median, mm" in str(seen)
     assert "tip error, median, mm" in seen._repr_html_()
     assert seen.plot().axes[0].get_ylabel() == "mm"
