@@ -91,7 +91,7 @@ def _key_frame(pictures: VolumePictures, true: Floats) -> Figure:
         axes.set_xlim(bounds[number][:2])
         axes.set_ylim(bounds[number][2:])
         axes.set_facecolor("black")
-        axes.set_xlabel("mm", fontsize=9)
+        axes.set_xlabel(picture.right, fontsize=9)
         axes.set_ylabel(picture.down, fontsize=9)
     return figure
 

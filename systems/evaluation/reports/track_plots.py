@@ -92,8 +92,23 @@ class PlanePicture(Picture):
     @property
     def down(self) -> str:
         """Name of the coordinate that runs down."""
-        along_beam = np.isclose(self.X_PS.rotation().matrix()[1, 1], 1)
-        return "depth (mm)" if along_beam else "across the beam (mm)"
+        return "depth (mm)" if self._along_beam else "across the beam (mm)"
+
+    @property
+    def right(self) -> str:
+        """Name of the coordinate that runs to the right, also from the origin of P."""
+        x, _, z = np.abs(self.X_PS.rotation().matrix()[:, 0]) > 0.999
+        if x or z:
+            return "lateral (mm)" if x else "elevation (mm)"
+        return (
+            "towards the tip, square to the beam (mm)"
+            if self._along_beam
+            else "along the needle (mm)"
+        )
+
+    @property
+    def _along_beam(self) -> bool:
+        return bool(np.isclose(self.X_PS.rotation().matrix()[1, 1], 1))
 
     def draw(self, axes: Axes, true: Floats | None = None) -> None:
         """Draw the slice with the estimate, and with the true needle in P, in m, if it is given."""
