@@ -64,9 +64,8 @@ def speed_rows(experiment: str, errors: Mapping[str, list[Floats]]) -> list[Stud
 
 
 def _known(runs: Sequence[Floats], figure: Callable[[Floats], float]) -> Value:
-    """Return a figure of the errors of all runs, with its interval, if there is one."""
-    value = pooled(runs, figure)
-    return Value() if value.true is None or np.isnan(value.true) else value
+    """Return a figure of the errors of the runs that have any, with its interval."""
+    return pooled([each for each in runs if np.isfinite(each).any()], figure)
 
 
 def bias(errors: Floats) -> float:
@@ -126,8 +125,8 @@ def _speed_rows(outcomes: Sequence[Outcome], name: str) -> list[StudyRow]:
     found = {label: [loop_errors(run) for run in each.runs] for label, each in methods.items()}
     rows = []
 
-    def at(speed: float, label: str, figure: Callable[[Floats], float]) -> Value:
-        return _known([run[speed] for run in found[label] if len(run.get(speed, ()))], figure)
+    def at(speed: float, label: str) -> list[Floats]:
+        return [run[speed] for run in found[label] if len(run.get(speed, ()))]
 
     for speed in sorted(
         {each for label in ("", "published") for run in found[label] for each in run}
@@ -135,18 +134,18 @@ def _speed_rows(outcomes: Sequence[Outcome], name: str) -> list[StudyRow]:
         when = f"at {speed:g} mm/s, while tracked, from {_SETTLED:g} s after a change on"
         for what, figure in (("bias", bias), ("RMSE", rmse)):
             quantity = f"speed along the needle, {what} {when}"
-            both = (at(speed, each, figure) for each in ("", "published"))
+            both = (_known(at(speed, each), figure) for each in ("", "published"))
             rows.append(StudyRow.of(name, quantity, "mm/s", *both))
             rows += [
-                StudyRow.of(name, f"{quantity}, {label}", "mm/s", at(speed, label, figure))
+                StudyRow.of(name, f"{quantity}, {label}", "mm/s", _known(at(speed, label), figure))
                 for label in _BASELINES.values()
                 if found[label]
             ]
         quantity = f"volumes not tracked at {speed:g} mm/s, from {_SETTLED:g} s after a change on"
-        both = (at(speed, each, _missing) for each in ("", "published"))
+        both = (pooled(at(speed, each), _missing) for each in ("", "published"))
         rows.append(StudyRow.of(name, quantity, "%", *both))
         if speed <= _JUDGED:
-            size = at(speed, "", bias).true
+            size = _known(at(speed, ""), bias).true
             quantity = f"speed along the needle, size of the bias {when}"
             value = Value(None if size is None else abs(size))
             rows.append(StudyRow.of(name, quantity, "mm/s", value, target=WITHIN))
