@@ -468,8 +468,8 @@ def _check_slices(volume: Volume) -> list[Finding]:
     """Check that what was seen has no gap of whole slices."""
     lost = 0
     for axis in range(3):
-        shown = volume.seen.any(axis=tuple({0, 1, 2} - {axis}))
-        lost += int((~np.trim_zeros(shown)).sum())
+        shown = np.flatnonzero(volume.seen.any(axis=tuple({0, 1, 2} - {axis})))
+        lost += int(shown[-1] - shown[0] + 1) - len(shown)
     return [_Fault.LOST_SLICES(count=lost)] if lost else []
 
 
