@@ -85,9 +85,9 @@ def open_meta_image(path: Path, *, frames: bool = False) -> VolumeFile:
 
 def _refuse_misspelt(path: Path, fields: Mapping[str, str]) -> None:
     """Raise ConfigurationError if an unknown field is nearly one that is used and missing."""
-    given = {name for group in _ALTERNATIVES if not group.isdisjoint(fields) for name in group}
-    missing = [name for name, use in FIELDS.items() if use == FieldUse.USED]
-    missing = [name for name in missing if name not in given and name not in fields]
+    given = set(fields).union(*(each for each in _ALTERNATIVES if not each.isdisjoint(fields)))
+    used = (name for name, use in FIELDS.items() if use == FieldUse.USED)
+    missing = [name for name in used if name not in given]
     for name in fields:
         if name not in FIELDS and (near := get_close_matches(name, missing, 1, cutoff=0.85)):
             raise ConfigurationError(f"{path}: {name}: unknown; did you mean {near[0]!r}?")

@@ -39,11 +39,7 @@ from sonoservo.systems.evaluation.reports.track_plots import (
     plot_planes,
     plot_tip,
 )
-from sonoservo.systems.evaluation.reports.verdict import (
-    following_verdict,
-    found_words,
-    recording_verdict,
-)
+from sonoservo.systems.evaluation.reports.verdict import found_words, recording_verdict
 from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.evaluation.run_logger import visible_length
 from sonoservo.systems.files.refusals import ConfigurationError
@@ -278,12 +274,10 @@ def track_recording(
                 plots["tip.png"] = TIP_CAPTION, tip
             if truth is not None:
                 plots["errors.png"] = ERRORS_CAPTION, plot_errors(log)
-        verdict = recording_verdict(summary, rows)
-        if truth is not None:
-            verdict = following_verdict(summary | {"interrupted": False}, follows=False)
         result = TrackedRecording(
             summary, log, recording_labels(summary["modes"]) | LABELS, plots=plots,
-            verdict=verdict, estimates=estimates, rows=rows, times=times, in_view=in_view,
+            verdict=recording_verdict(summary, rows), estimates=estimates, rows=rows, times=times,
+            in_view=in_view,
         )  # fmt: skip
         if out is not None:
             with unwritten.collect():

@@ -65,7 +65,12 @@ def following_verdict(summary: Mapping[str, Any], *, follows: bool = True) -> Ve
 
 
 def recording_verdict(summary: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]) -> Verdict:
-    """Return the verdict on a tracked recording, from its summary and the rows of estimates.csv."""
+    """Return the verdict on a tracked recording, from its summary and the rows of estimates.csv.
+
+    With the truth beside the recording, it is that on a run in which nothing followed the tracker.
+    """
+    if summary.get("truth"):
+        return following_verdict({**summary, "interrupted": False}, follows=False)
     headline = found_words(rows, summary["frame"])
     if not summary["modes"].get("tracking", 0):
         return Verdict(headline, " ".join(reasons_lines(summary)), "bad")
