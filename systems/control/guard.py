@@ -178,7 +178,7 @@ class Guard(LeafSystem):
 
     def _calc_joint_command(self, context: Context, output: BasicVector) -> None:
         last, n = context.get_discrete_state(self._command).value(), self._joints
-        if last[2 * n + 1] == Mode.MONITORING:
+        if last.item(2 * n + 1) == Mode.MONITORING:
             wanted = self._wanted.Eval(context)
             if self._accepts(wanted, last):
                 output.SetFromVector(wanted)

@@ -7,8 +7,8 @@ looks. All are tuples of numbers, because the guard runs at every step of the co
 import math
 from collections.abc import Sequence
 from enum import IntEnum
-from itertools import islice
-from typing import NamedTuple
+from itertools import chain, islice
+from typing import Any, NamedTuple
 
 from sonoservo.systems.control.guard_parameters import GuardParameters
 
@@ -94,21 +94,23 @@ class GuardMemory(NamedTuple):
 
     def pack(self) -> list[float]:
         """Return all numbers in one list."""
-        groups = (value if isinstance(value, tuple) else (value,) for value in self)
-        return [number for group in groups for number in group]
+        fields: tuple[Any, ...] = self
+        return [*fields[:_SINGLE], *chain.from_iterable(fields[_SINGLE:])]
 
     def unpack(self, numbers: list[float]) -> "GuardMemory":
         """Return the memory with the numbers that `pack` returned; ``self`` gives the sizes."""
-        left = iter(numbers)
-        return GuardMemory._make(
-            tuple(islice(left, len(each))) if isinstance(each, tuple) else next(left)
-            for each in self
-        )
+        fields: tuple[Any, ...] = self
+        left = iter(numbers[_SINGLE:])
+        vectors = [tuple(islice(left, len(each))) for each in fields[_SINGLE:]]
+        return GuardMemory._make(numbers[:_SINGLE] + vectors)
 
     @property
     def approach_scale(self) -> float:
         """Factor on the speed of the approach; hard landings make it slower."""
         return float(0.5**self.caution)
+
+
+_SINGLE = GuardMemory._fields.index("p")  # number of single numbers, which precede all tuples
 
 
 class Region(NamedTuple):
