@@ -3,6 +3,8 @@
 import operator
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +42,7 @@ from sonoservo.systems.ultrasound.simulation.pulses import (
     frame_poses,
     line_rays,
     line_widths,
+    motor_poses,
     projection_rays,
 )
 from sonoservo.systems.ultrasound.simulation.reaction.deformation import Deformation, displacements
@@ -185,6 +188,8 @@ class FrameRenderer:
         rng = np.random.default_rng([seed, 4])
         air = parameters.air_pockets
         self._air = AirPockets(air, transducer, imaging, self.geometry, rng)
+        self._keys = lru_cache(maxsize=4)(self._make_keys)
+        self._X_FP = motor_poses(geometry)
         self._lines = {direction: line_rays(geometry, direction) for direction in (1, -1)}
         self._rays = {
             d: projection_rays(geometry, self.beam, d, pulses.lead, reference) for d in (1, -1)
@@ -208,7 +213,7 @@ class FrameRenderer:
         ``field`` holds the displacements of the tissue. Return the views that the needle's echo
         needs.
         """
-        X_FT = frame_poses(self.acoustic, frames.X_TP, frames.part)
+        X_FT = frame_poses(self._X_FP[frames.part], frames.X_TP)
         rays, scene = self._rays[frames.direction], self._scene
         times = frames.times
         view, gains, nodes_per_metre = scene.view(X_FT, float(rays.twist))
@@ -250,7 +255,7 @@ class FrameRenderer:
     ) -> None:
         """Add the echoes of point scatterers, in place; see `SweepRenderer.add_scatterers`."""
         rays = self._rays[frames.direction]
-        X_FT = frame_poses(self.acoustic, frames.X_TP, frames.part)
+        X_FT = frame_poses(self._X_FP[frames.part], frames.X_TP)
         view, *_ = self._scene.view(X_FT, float(rays.twist))
         sights = Sights(X_FT, displacements(None), view)
         render_points(iq, sights, rays, points, amplitudes, self._point_pulse)
@@ -261,16 +266,20 @@ class FrameRenderer:
         """Return the grey levels of frames' echoes; the number of the sweep selects the noise."""
         grey = np.empty(iq.shape, np.uint8)
         origins, directions = self._lines[frames.direction]
-        keys = np.random.SeedSequence([self._seed, number])
         turned = np.exp(1j * frames.times / self._parameters.decorrelation_time)
         acquired = Acquired(
             np.ascontiguousarray(frames.X_TP[:, :3]),
             origins[frames.part],
             directions[frames.part],
             self._air.open_shares(frames.times, frames.part),
-            keys.generate_state(self.geometry.frames, np.uint64)[frames.part],
+            self._keys(number)[frames.part],
             self._field[frames.part],
             self._changing * turned,
         )
         form_image(grey, iq, self._console, acquired)
         return grey
+
+    def _make_keys(self, number: int) -> NDArray[Any]:
+        """Return the (frames,) keys of the noise in a sweep."""
+        keys = np.random.SeedSequence([self._seed, number])
+        return keys.generate_state(self.geometry.frames, np.uint64)

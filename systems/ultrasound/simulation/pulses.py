@@ -106,17 +106,20 @@ def line_widths(geometry: SweepGeometry, beam: Beam) -> NDArray[np.float64]:
     return beam.lateral / (geometry.line_pitch * radii)
 
 
-def frame_poses(
-    geometry: SweepGeometry, X_TP: NDArray[np.float64], part: slice
-) -> NDArray[np.float64]:
-    """Return (n, 3, 4) poses of the tissue in F, of (n, 4, 4) poses of the probe in the tissue."""
-    theta = geometry.line_angles(1).mean(axis=1)[part]
+def motor_poses(geometry: SweepGeometry) -> NDArray[np.float64]:
+    """Return (frames, 4, 4) poses of the probe in F."""
+    theta = geometry.line_angles(1).mean(axis=1)
     X_FP = np.zeros((len(theta), 4, 4))
     X_FP[:, 0, 0] = X_FP[:, 3, 3] = 1
     X_FP[:, 1, 1] = X_FP[:, 2, 2] = np.cos(theta)
     X_FP[:, 1, 2] = np.sin(theta)
     X_FP[:, 2, 1] = -np.sin(theta)
     X_FP[:, :, 3] += X_FP[:, :, 1] * geometry.motor_radius
+    return X_FP
+
+
+def frame_poses(X_FP: NDArray[np.float64], X_TP: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return (n, 3, 4) poses of the tissue in F, of (n, 4, 4) poses of the probe in F and in T."""
     return np.ascontiguousarray((X_FP @ np.linalg.inv(X_TP))[:, :3])
 
 

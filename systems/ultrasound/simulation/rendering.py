@@ -253,14 +253,20 @@ class SweepRenderer:
         _each(render, missing)
         return grey
 
+    @property
+    def may_begin(self) -> bool:
+        """True if `begin` would do something; frames need not be prepared for it otherwise."""
+        most = _SWEEPS_AHEAD * len(self.groups(1))
+        return workers() is not None and len(self._begun) < most
+
     def begin(self, frames: Frames, number: int) -> None:
         """Begin to render one of the `groups` of frames in the background, for a sweep.
 
         This does nothing without threads to spare (see `workers`), or while the sweeps begun before
         are not requested.
         """
-        pool, most = workers(), _SWEEPS_AHEAD * len(self.groups(frames.direction))
-        if pool is not None and len(self._begun) < most:
+        pool = workers()
+        if pool is not None and self.may_begin:
             self._begun.append((frames, number, pool.submit(self._image, frames, number)))
 
     def _take(self, frames: Frames, number: int) -> Future[NDArray[np.uint8]] | None:

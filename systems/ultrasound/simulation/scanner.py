@@ -58,7 +58,7 @@ class _Snapshots(Immutable):
         return 1 - 2 * (self.number % 2)
 
     def with_frame(self, frame: _Snapshot) -> "_Snapshots":
-        return replace(self, frames=(*self.frames, frame))
+        return _Snapshots(self.number, (*self.frames, frame), self.labels)
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,6 +144,7 @@ class Scanner(LeafSystem):
         self.geometry: SweepGeometry = self._renderer.geometry
         # The framework marks all state as changed at every event, but a sweep is immutable.
         self._rendered = lru_cache(maxsize=2)(self._render)
+        self._motions = lru_cache(maxsize=2)(self._find_motions)
         self._X_WP = self.DeclareAbstractInputPort("X_WP", Value(RigidTransform()))
         self._X_WT = self.DeclareAbstractInputPort("X_WT", Value(RigidTransform()))
         declare_inputs(self, needle=Needle, deformation=Deformation)
@@ -225,7 +226,7 @@ class Scanner(LeafSystem):
         progress: _Progress = context.get_abstract_state(self._progress).get_value()
         return progress.reception.processed
 
-    def _motions(self, snapshots: _Snapshots) -> MotionRecord:
+    def _find_motions(self, snapshots: _Snapshots) -> MotionRecord:
         # Frames are numbered towards +Z, whichever way the motor went.
         direction = snapshots.direction
         frames = snapshots.frames[::direction]
@@ -244,8 +245,11 @@ class Scanner(LeafSystem):
     def _begin(self, snapshots: _Snapshots) -> None:
         """Begin to render the newest frames if they complete a group; no result depends on it."""
         count = len(snapshots.frames)
-        if self._processing_time > 0 or (count % GROUP and count < self.geometry.frames):
-            return  # a slow program will never see many of the sweeps
+        if count % GROUP and count < self.geometry.frames:
+            return
+        # A slow program will never see many of the sweeps.
+        if self._processing_time > 0 or not self._renderer.may_begin:
+            return
         group = (count - 1) // GROUP
         part = self._renderer.groups(snapshots.direction)[group]
         frames = self._frames(snapshots, slice(group * GROUP, count), part)
