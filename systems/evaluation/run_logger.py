@@ -1,6 +1,7 @@
 """Leaf system that logs a run in which the robot follows a needle."""
 
 from collections.abc import Mapping
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,10 +17,12 @@ from sonoservo.systems.signals.leaves import declare_looks, declare_memory
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
-from sonoservo.systems.signals.ports import declare_inputs, evaluate_optional
+from sonoservo.systems.signals.ports import declare_inputs, evaluate_optional_port
 from sonoservo.systems.signals.requirements import require_positive
 from sonoservo.systems.signals.sweep import MotionRecord, SweepGeometry
 from sonoservo.systems.signals.volume import VolumeCheck
+
+T = TypeVar("T")
 
 
 def _new_rows(extents: Mapping[str, int]) -> dict[str, LogRows]:
@@ -88,7 +91,7 @@ class RunLogger(LeafSystem):
         geometry: SweepGeometry | None = None,
     ) -> None:
         super().__init__()
-        declare_inputs(
+        self._inputs = declare_inputs(
             self,
             X_WP=RigidTransform,
             X_WT=RigidTransform,
@@ -119,6 +122,12 @@ class RunLogger(LeafSystem):
         samples, volumes = (rows.arrays() for rows in self._rows(context).values())
         return RunLog(**samples, **volumes, compute=times)
 
+    def _input(
+        self, context: Context, name: str, expected: type[T] | tuple[type[T], ...]
+    ) -> T | None:
+        """Return the value of an input; None if it has none."""
+        return evaluate_optional_port(self._inputs[name], context, expected)
+
     def _start(self, context: Context) -> None:
         for rows in self._rows(context).values():
             rows.clear()
@@ -128,44 +137,44 @@ class RunLogger(LeafSystem):
         if samples.newest and samples.newest["time"] >= time:
             return
         X_WP, true, X_WT = (
-            evaluate_optional(self, context, name, RigidTransform)
-            for name in ("X_WP", "true_X_WP", "X_WT")
+            self._input(context, name, RigidTransform) for name in ("X_WP", "true_X_WP", "X_WT")
         )
         row: Row = {"time": time}
         for name, X in (("X_WP", true or X_WP), ("measured_X_WP", X_WP), ("X_WT", X_WT)):
             if X is not None:
                 row[name] = X.GetAsMatrix4()
-        if (needle := evaluate_optional(self, context, "needle", Needle)) is not None:
+        if (needle := self._input(context, "needle", Needle)) is not None:
             row |= self._truth(needle, true or X_WP, X_WT)
-        estimate = evaluate_optional(self, context, "estimate", NeedleEstimate)
+        estimate = self._input(context, "estimate", NeedleEstimate)
         if estimate is not None:
             row |= _describe(estimate, "estimate")
             if estimate:
                 row["estimate_velocity"] = estimate.tip_velocity
             self._look(context)
-        wrist_force = evaluate_optional(self, context, "wrist_force", SpatialForce)
+        wrist_force = self._input(context, "wrist_force", SpatialForce)
         if wrist_force is not None:
             row["wrist_force"] = wrist_force.get_coeffs()
         for name in ("contact_force", "joint_state", "planar_velocity"):
-            vector = evaluate_optional(self, context, name, np.ndarray)
+            vector = self._input(context, name, np.ndarray)
             if vector is not None:
                 row[name] = vector[0] if name == "contact_force" else vector.copy()
-        if (guard := evaluate_optional(self, context, "guard", GuardStatus)) is not None:
+        if (guard := self._input(context, "guard", GuardStatus)) is not None:
             row["guard_state"] = str(guard.state)
             row["guard_reason"] = guard.reason if guard.stopped else ""
-        row["hold_reason"] = evaluate_optional(self, context, "hold_reason", str) or ""
-        if (check := evaluate_optional(self, context, "volume_check", VolumeCheck)) is not None:
+        row["hold_reason"] = self._input(context, "hold_reason", str) or ""
+        if (check := self._input(context, "volume_check", VolumeCheck)) is not None:
             row["volumes_refused"], row["refusal_reason"] = check.refused, check.reason
         samples.append(row)
 
     def _truth(
         self, needle: Needle, X_WP: RigidTransform | None, X_WT: RigidTransform | None
     ) -> Row:
-        row: Row = {"inserted_length": needle.length if needle else 0.0}
+        length = needle.length
+        row: Row = {"inserted_length": length}
         if needle and X_WT is not None:
             row["needle_tip"] = X_WT.multiply(needle.tip)
             row["needle_entry"] = X_WT.multiply(needle.shaft[0])
-            points = needle.position(np.linspace(0, needle.length, 9))
+            points = needle.position(np.linspace(0, length, 9))
             row["needle_points"] = X_WT.multiply(points.T).T
         if self._geometry is not None and X_WP is not None and X_WT is not None:
             in_probe = needle.transformed(X_WP.InvertAndCompose(X_WT))
@@ -174,7 +183,7 @@ class RunLogger(LeafSystem):
 
     def _look(self, context: Context) -> None:
         """Add a row if the estimate was made from a volume newer than the last one logged."""
-        estimate = evaluate_optional(self, context, "estimate", NeedleEstimate)
+        estimate = self._input(context, "estimate", NeedleEstimate)
         volumes = self._rows(context)["v"]
         if estimate is None or not np.isfinite(estimate.volume_time):
             return
@@ -189,10 +198,10 @@ class RunLogger(LeafSystem):
             row["volume_estimate_tip_covariance"] = estimate.tip_covariance
             row["volume_estimate_direction_covariance"] = estimate.direction_covariance
             row["volume_estimate_velocity_covariance"] = estimate.tip_velocity_covariance
-        detection = evaluate_optional(self, context, "detection", object)
+        detection = self._input(context, "detection", object)
         row["volume_detected"] = bool(detection)
         row["volume_detection_reason"] = _reason(detection)
-        measurement = evaluate_optional(self, context, "measurement", (NeedleMeasurement, NotFound))
+        measurement = self._input(context, "measurement", (NeedleMeasurement, NotFound))
         row["volume_measurement_reason"] = _reason(measurement)
         if isinstance(measurement, NeedleMeasurement):
             row["volume_measured_time"] = measurement.time
@@ -204,7 +213,7 @@ class RunLogger(LeafSystem):
 
     def _motions(self, context: Context, volume_time: float) -> Row:
         """Return the measured and the true motion of a volume, if it is the newest."""
-        record = evaluate_optional(self, context, "motion_record", (MotionRecord, NotFound))
+        record = self._input(context, "motion_record", (MotionRecord, NotFound))
         if not isinstance(record, MotionRecord):
             return {}
         middle = record.true.geometry.frames // 2

@@ -33,13 +33,14 @@ def _model(types: Types) -> AbstractValue:
     return Value[object](types)
 
 
-def declare_inputs(system: LeafSystem, **types: Types | int) -> None:
+def declare_inputs(system: LeafSystem, **types: Types | int) -> dict[str, InputPort]:
     """Declare input ports by name: the type or types that each accepts, or the size of a vector."""
-    for name, accepted in types.items():
-        if isinstance(accepted, int):
-            system.DeclareVectorInputPort(name, accepted)
-        else:
-            system.DeclareAbstractInputPort(name, _model(accepted))
+    return {
+        name: system.DeclareVectorInputPort(name, accepted)
+        if isinstance(accepted, int)
+        else system.DeclareAbstractInputPort(name, _model(accepted))
+        for name, accepted in types.items()
+    }
 
 
 def declare_output(
@@ -113,8 +114,14 @@ def evaluate_optional(
     system: System, context: Context, port: str, expected: type[T] | tuple[type[T], ...]
 ) -> T | None:
     """Evaluate an abstract or vector input port as `evaluate` does; None if it has no value."""
-    found = system.GetInputPort(port)
-    return evaluate_port(found, context, expected) if found.HasValue(context) else None
+    return evaluate_optional_port(system.GetInputPort(port), context, expected)
+
+
+def evaluate_optional_port(
+    port: InputPort, context: Context, expected: type[T] | tuple[type[T], ...]
+) -> T | None:
+    """Evaluate a port as `evaluate_optional` does, without looking it up by its name."""
+    return evaluate_port(port, context, expected) if port.HasValue(context) else None
 
 
 def evaluate_port(port: InputPort, context: Context, expected: type[T] | tuple[type[T], ...]) -> T:
