@@ -71,7 +71,6 @@ class ExternalTorque(LeafSystem):
             return
         plant, scratch = self._plant, self._scratch(context)
         plant.SetPositionsAndVelocities(scratch, state)
-        self._forces.SetZero()
         plant.CalcForceElementsContribution(scratch, self._forces)
         v = state[n:]
         needed = plant.CalcInverseDynamics(scratch, (v - before) / self._period, self._forces)

@@ -52,7 +52,8 @@ class Needle(Immutable):
     @cached_property
     def _steps(self) -> NDArray[np.float64]:
         """Distances between successive points of the shaft, in m."""
-        return np.linalg.norm(np.diff(self.shaft, axis=0), axis=1)
+        steps = self.shaft[1:] - self.shaft[:-1]
+        return np.sqrt((steps * steps).sum(axis=1))
 
     @property
     def length(self) -> float:
