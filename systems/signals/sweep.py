@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydrake.math import RigidTransform
 
 from sonoservo.systems.sampling.interpolation import sample_grid
-from sonoservo.systems.sampling.kernels import OPTIONS
+from sonoservo.systems.sampling.kernels import INNER, OPTIONS
 from sonoservo.systems.signals.immutable import Immutable, Shape
 from sonoservo.systems.signals.point_spread import FWHM_PER_SIGMA, PointSpread
 from sonoservo.systems.signals.requirements import NotNegative, Positive, at_least, require
@@ -160,12 +160,9 @@ class SweepGeometry(Immutable):
 
     def contains(self, p_P: ArrayLike) -> NDArray[np.bool_]:
         """Return True for positions in P in the part of the sector that both directions sweep."""
-        frames, lines, samples = self.shape
-        k, j, i = self.index(p_P, 1)
-        k_back = k + (2 * j - (lines - 1)) / lines
-        inside = (j >= 0) & (j <= lines - 1) & (i >= 0) & (i <= samples - 1)
-        for each in (k, k_back):
-            inside &= (each >= 0) & (each <= frames - 1)
+        p_P = np.asarray(p_P, dtype=float)
+        inside = np.empty(p_P.shape[:-1], np.bool_)
+        _contains(p_P.reshape(-1, 3), self._numbers, self.shape, inside.reshape(-1))
         return inside
 
 
@@ -223,15 +220,29 @@ class SweepMotion(Immutable):
 
 @njit(**OPTIONS)
 def _index(p_P: Any, direction: int, numbers: Any, found: Any) -> None:  # pragma: no cover
-    motor_radius, array_radius, offset, sample_pitch, line_pitch, sector, lines, steps = numbers
     for m in range(len(p_P)):
-        x, y, z = p_P[m, 0], p_P[m, 1] + motor_radius, p_P[m, 2]
-        q = offset + math.hypot(y, z)
-        line = math.atan2(x, q) / line_pitch + (lines - 1) / 2
-        step = (math.atan2(z, y) / sector + 0.5) * steps
-        found[0, m] = (step - (line if direction > 0 else lines - 1 - line)) / lines
-        found[1, m] = line
-        found[2, m] = (math.hypot(q, x) - array_radius) / sample_pitch
+        found[0, m], found[1, m], found[2, m] = _index_of(p_P[m], direction, numbers)
+
+
+@njit(**OPTIONS)
+def _contains(p_P: Any, numbers: Any, shape: Any, inside: Any) -> None:  # pragma: no cover
+    frames, lines, samples = shape
+    for m in range(len(p_P)):
+        k, j, i = _index_of(p_P[m], 1, numbers)
+        k_back = k + (2 * j - (lines - 1)) / lines
+        inside[m] = 0 <= j <= lines - 1 and 0 <= i <= samples - 1
+        inside[m] &= 0 <= k <= frames - 1 and 0 <= k_back <= frames - 1
+
+
+@njit(**INNER)
+def _index_of(p_P: Any, direction: int, numbers: Any) -> Any:  # pragma: no cover - compiled
+    motor_radius, array_radius, offset, sample_pitch, line_pitch, sector, lines, steps = numbers
+    x, y, z = p_P[0], p_P[1] + motor_radius, p_P[2]
+    q = offset + math.hypot(y, z)
+    line = math.atan2(x, q) / line_pitch + (lines - 1) / 2
+    step = (math.atan2(z, y) / sector + 0.5) * steps
+    frame = (step - (line if direction > 0 else lines - 1 - line)) / lines
+    return frame, line, (math.hypot(q, x) - array_radius) / sample_pitch
 
 
 @njit(**OPTIONS)
