@@ -173,7 +173,7 @@ class Insertion(Immutable):
         if self.path is None:
             track = self._track(time, length, entry, axes[0])
             first = np.array([1.0, 0.0, 0.0])
-            along = np.array([[0.0, 0.0, 0.0], length * first])
+            along = np.array([[0.0, 0.0, 0.0], [length, 0.0, 0.0]])
         else:
             along = self.path.positions(self._points(length), self._motion.cut(time, length))
             first = self.path.direction

@@ -29,11 +29,13 @@ class Shape:
             for at, each in enumerate(extents)
             if isinstance(each, str)
         }
-        self._others = [None if isinstance(each, str) else each for each in extents]
+        self._others = tuple(None if isinstance(each, str) else each for each in extents)
 
     def given(self, known: Mapping[str, int]) -> tuple[int | None, ...]:
         """Return the extents with numbers in place of the letters that are known, else None."""
-        extents = self._others.copy()
+        if not self.letters:
+            return self._others
+        extents = list(self._others)
         for at, (letter, times) in self.letters.items():
             if letter in known:
                 extents[at] = times * known[letter]
