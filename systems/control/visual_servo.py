@@ -95,7 +95,7 @@ def planar_velocity(
     if parameters.feed_forward and estimate.mode is TrackingMode.TRACKING:
         velocity = estimate.tip_velocity
         tip = tip + age * velocity
-        rates[:2] = (R_PW @ velocity)[[0, 2]]
+        rates[:2] = (R_PW @ velocity)[::2]
 
     direction = R_PW @ estimate.curve.direction
     inclination = math.hypot(direction[0], direction[2])
