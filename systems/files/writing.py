@@ -133,10 +133,14 @@ def to_plain(data: Any, *, for_json: bool = True) -> Any:
 
 @contextmanager
 def claim_folder(folder: Path | None) -> Iterator[None]:
-    """Keep every other process that claims a folder from writing into it; None claims nothing."""
+    """Keep every other process that claims a folder from writing into it; None claims nothing.
+
+    The folder, and those above it, are made if necessary, and those left empty are removed again.
+    """
     if folder is None:
         yield
         return
+    made = [each for each in (folder, *folder.parents) if not each.exists()]
     make_folder(folder)
     handle = os.open(folder, os.O_RDONLY)
     try:
@@ -146,6 +150,9 @@ def claim_folder(folder: Path | None) -> Iterator[None]:
                 partial.unlink()
         yield
     finally:
+        with suppress(OSError):  # the first that holds something, and so those above it
+            for each in made:
+                each.rmdir()
         os.close(handle)
 
 

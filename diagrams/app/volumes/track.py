@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -240,9 +239,6 @@ def track_recording(
             ended = bench.run(_samples(recording, beside, real_time and console is None), sinks)
         except ConfigurationError as error:  # what was tracked before is kept
             if not rows:
-                if out is not None:
-                    with suppress(OSError):  # it holds something else
-                        out.rmdir()
                 raise
             ended, failure = False, error
         summary = {

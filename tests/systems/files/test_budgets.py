@@ -114,3 +114,13 @@ def test_a_folder_has_one_writer(tmp_path):
         assert [path.name for path in folder.iterdir()] == ["log.npz"]
     with claim_folder(None):
         pass
+
+
+def test_a_claim_leaves_no_empty_folder_that_it_made(tmp_path):
+    (tmp_path / "own").mkdir()
+    for folder in (tmp_path / "own" / "a" / "b", tmp_path / "own"):
+        with pytest.raises(KeyError), claim_folder(folder):
+            raise KeyError
+    with claim_folder(tmp_path / "a" / "b"):
+        (tmp_path / "a" / "kept").touch()
+    assert sorted(tmp_path.rglob("*")) == [tmp_path / each for each in ("a", "a/kept", "own")]
