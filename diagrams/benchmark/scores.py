@@ -12,13 +12,12 @@ from pydrake.math import RigidTransform
 from sonoservo.diagrams.benchmark.estimates import Estimated, log_of_estimates
 from sonoservo.diagrams.studies.robustness.runs import as_in_probe
 from sonoservo.diagrams.studies.run_group import RunGroup, Value, pooled, quantile_of
-from sonoservo.diagrams.studies.study_report import interval_text
+from sonoservo.diagrams.studies.study_report import figure_text
 from sonoservo.systems.evaluation.intervals import count_interval, proportion_interval
 from sonoservo.systems.evaluation.metrics import START_TOLERANCE, detection
 from sonoservo.systems.evaluation.run_errors import inside_stated
 from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.evaluation.success import ENOUGH_MM, TrackedVolumes, from_needle
-from sonoservo.systems.evaluation.table import cell_text
 from sonoservo.systems.signals.needle_estimate import TrackingMode
 
 Floats = NDArray[np.float64]
@@ -173,13 +172,8 @@ def _share(records: Sequence[Mapping[str, Any]], name: str) -> dict[str, Any]:
 
 
 def _figure(value: Value) -> dict[str, Any]:
-    endless = value.low == np.inf
-    ends = "" if endless else interval_text(value.low, value.high)
-    text = cell_text(value.true)
-    return _plain_figure(
-        (value.true, value.low, value.high),
-        f"{text} ({ends})" if ends not in ("", "too few runs") else text,
-    )
+    figures = value.true, value.low, value.high
+    return _plain_figure(figures, figure_text(*figures))
 
 
 def _plain_figure(figures: Sequence[float | None], text: str) -> dict[str, Any]:

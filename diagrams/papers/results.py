@@ -34,11 +34,11 @@ from sonoservo.diagrams.studies.study import Case, Outcome
 from sonoservo.diagrams.studies.study_report import (
     Study,
     StudyRow,
-    interval_text,
+    figure_text,
     rows_table,
     summary_of,
 )
-from sonoservo.systems.evaluation.table import Table, cell_text
+from sonoservo.systems.evaluation.table import Table
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.writing import write_atomically
 
@@ -184,7 +184,7 @@ def _first_table(rows: Sequence[StudyRow]) -> Table:
     """Return the rows in five columns, for README."""
     lines = []
     for row in rows:
-        true = _figure_text(row.true, row.low, row.high)
+        true = figure_text(row.true, row.low, row.high, "")
         name = f"{row.experiment}: {row.named}"
         lines.append([name, row.paper, row.estimated, true, row.published_true])
     heads = ["quantity", "paper", "ours, estimated", "ours, true (95 %)", "as published, true"]
@@ -280,15 +280,10 @@ def _experiments_table(kept: Mapping[str, Any]) -> str:
         for quantity, prefix in _MAIN_FIGURES.values():
             found = experiments[name].get(quantity)
             keys = (prefix + key for key in ("true", "low", "high"))
-            cells.append(_figure_text(*(getattr(found, key, None) for key in keys)))
+            true, low, high = (getattr(found, key, None) for key in keys)
+            cells.append(figure_text(true, low, high, ""))
         lines.append(cells)
     return Table(["experiment", "seeds", *_MAIN_FIGURES], lines).markdown()
-
-
-def _figure_text(figure: float | None, low: float | None, high: float | None) -> str:
-    """Return a figure with its interval, such as "0.50 (0.40 to 0.60)", if enough runs tell one."""
-    unknown = None in (low, high) or (low, high) == (-math.inf, math.inf)
-    return cell_text(figure, "") + ("" if unknown else f" ({interval_text(low, high)})")
 
 
 def _row(kept: Mapping[str, Any]) -> StudyRow:

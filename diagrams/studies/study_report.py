@@ -320,6 +320,14 @@ def interval_text(low: float | None, high: float | None) -> str:
     return f"{cell_text(low)} to {cell_text(high)}"
 
 
+def figure_text(
+    figure: float | None, low: float | None, high: float | None, missing: str = "–"
+) -> str:
+    """Return a figure with its interval, such as "0.50 (0.40 to 0.60)", if enough runs tell one."""
+    untold = None in (low, high) or low == math.inf or (low, high) == (-math.inf, math.inf)
+    return cell_text(figure, missing) + ("" if untold else f" ({interval_text(low, high)})")
+
+
 def _ranges(numbers: Sequence[int]) -> str:
     """Return numbers as ranges: [0, 1, 2, 5] becomes "0-2, 5"."""
     starts = [n for n in numbers if n - 1 not in numbers]

@@ -11,7 +11,7 @@ from rich.console import Console
 
 from sonoservo.diagrams.app.terminal import study_table
 from sonoservo.diagrams.studies import Case, Outcome, Study, StudyFigure, StudyRow, write_study
-from sonoservo.diagrams.studies.study_report import can_be_judged
+from sonoservo.diagrams.studies.study_report import can_be_judged, figure_text
 
 
 @pytest.fixture
@@ -78,6 +78,20 @@ def test_a_target_is_judged_by_the_truth(values, expected):
 )
 def test_a_target_of_a_share_needs_runs_that_can_meet_and_miss_it(total, target, wanted, judged):
     assert can_be_judged(total, target, wanted) is judged
+
+
+@pytest.mark.parametrize(
+    ("figure", "text"),
+    [
+        ((0.5, 0.4, np.inf), "0.500 (0.400 to ∞)"),
+        ((0.5, -np.inf, np.inf), "0.500"),
+        ((np.inf, np.inf, np.inf), "∞"),
+        ((None, None, None), "–"),
+        ((None, None, None, ""), ""),
+    ],
+)
+def test_a_figure_has_the_interval_that_enough_runs_tell(figure, text):
+    assert figure_text(*figure) == text
 
 
 def test_json(study, tmp_path):
