@@ -3,6 +3,7 @@
 from bisect import bisect_right
 from collections.abc import Mapping
 from dataclasses import dataclass
+from enum import StrEnum
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,17 @@ MAX_TIME = 1e11
 _MIN_STEP = 1e-6  # Smallest time between two volumes or frames, in s
 
 
+class Unusable(StrEnum):
+    """Why volumes or frames are left out, in words that follow their number."""
+
+    MARKED = "marked as invalid"
+    NO_POSE = "without a pose"
+    NO_TRANSFORM = "whose pose is no transform"
+    NO_TIME = "without a time"
+    OUT_OF_ORDER = "whose time breaks the order"
+    EMPTY = "that hold nothing"  # known only as they are read
+
+
 @dataclass(frozen=True, eq=False)
 class ValidItems(Immutable):
     """Numbers, (n, 4, 4) poses in mm and times in s of what is usable; why others are not."""
@@ -27,7 +39,7 @@ class ValidItems(Immutable):
     numbers: NDArray[np.int64]
     matrices: NDArray[np.float64]
     times: NDArray[np.float64]
-    left_out: Mapping[str, list[int]]
+    left_out: Mapping[Unusable, list[int]]
 
     def note(self, what: str) -> tuple[str, ...]:
         """Return a sentence about those that were left out, if there are any."""
@@ -53,7 +65,7 @@ def choose_items(
     what: str = "volume",
 ) -> ValidItems:
     """Return the volumes or frames that are not marked as invalid, and have a pose and a time."""
-    left_out: dict[str, list[int]] = {}
+    left_out: dict[Unusable, list[int]] = {}
     matrices, numbers = [], []
     names = [link.name for link in chain.links] if chain else []
     own = [name for name in names if name not in constants]
@@ -61,9 +73,9 @@ def choose_items(
     for k in range(count):
         marks = ["ImageStatus", *(f"{name}TransformStatus" for name in own)]
         if any(fields.get(mark, {}).get(k, "OK").upper() != "OK" for mark in marks):
-            left_out.setdefault("marked as invalid", []).append(k)
+            left_out.setdefault(Unusable.MARKED, []).append(k)
         elif any(k not in fields.get(f"{name}Transform", {}) for name in own):
-            left_out.setdefault("without a pose", []).append(k)
+            left_out.setdefault(Unusable.NO_POSE, []).append(k)
         else:
             try:
                 found = {
@@ -76,14 +88,14 @@ def choose_items(
                 numbers.append(k)
             except (ConfigurationError, np.linalg.LinAlgError) as error:
                 fault = fault or str(error)
-                left_out.setdefault("whose pose is no transform", []).append(k)
+                left_out.setdefault(Unusable.NO_TRANSFORM, []).append(k)
     if not numbers:
         if fault:
             raise ConfigurationError(fault)
         raise ConfigurationError(f"{path}: all of its {count} {what}s are invalid")
     chosen, kept = np.array(numbers), rising(times[numbers])
     for k in chosen[~kept]:
-        reason = "without a time" if np.isnan(times[k]) else "whose time breaks the order"
+        reason = Unusable.NO_TIME if np.isnan(times[k]) else Unusable.OUT_OF_ORDER
         left_out.setdefault(reason, []).append(int(k))
     if not kept.any() or 2 * np.count_nonzero(kept) < len(kept):
         raise ConfigurationError(

@@ -14,7 +14,6 @@ from pydrake.math import RotationMatrix
 
 from sonoservo.diagrams.app.options import Reading
 from sonoservo.diagrams.app.volumes.opening import (
-    EMPTY,
     Opened,
     ReconstructedRecording,
     live_maker,
@@ -56,6 +55,7 @@ from sonoservo.systems.live.live_source import LiveSource
 from sonoservo.systems.recording.file_items import TimesMissingError
 from sonoservo.systems.recording.plus_configuration import read_plus_configuration
 from sonoservo.systems.recording.recording import Recording
+from sonoservo.systems.recording.valid_frames import Unusable
 from sonoservo.systems.signals.volume import Volume
 
 # Most volumes, and sweeps of frames, from which errors of the poses are estimated.
@@ -63,9 +63,9 @@ _CALIBRATED, _SWEEPS = 30, 4
 # Most images that are kept of a stream, and most devices that are told apart.
 _KEPT, _DEVICES = 24, 32
 _CAUSES = {
-    "without a time": "the clock",
-    "whose time breaks the order": "the clock",
-    EMPTY: "the program that wrote them",
+    Unusable.NO_TIME: "the clock",
+    Unusable.OUT_OF_ORDER: "the clock",
+    Unusable.EMPTY: "the program that wrote them",
 }
 """What to look at, by the reason for which volumes or frames are left out; else the tracker."""
 _ERROR_MM = 2.0  # Error of a calibration in mm that shows in a needle's place

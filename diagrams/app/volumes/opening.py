@@ -25,15 +25,13 @@ from sonoservo.systems.recording.plus_configuration import (
 )
 from sonoservo.systems.recording.recording import Recording
 from sonoservo.systems.recording.tracked_frames import TrackedFrames
+from sonoservo.systems.recording.valid_frames import Unusable
 from sonoservo.systems.signals.volume import ReconstructedVolume
 from sonoservo.systems.ultrasound.frame_reconstruction import (
     PosedFrame,
     SweepSplitter,
     reconstruct,
 )
-
-EMPTY = "that hold nothing"
-"""Reason for which frames are left out as they are read."""
 
 
 class ReconstructedRecording:
@@ -108,9 +106,9 @@ class ReconstructedRecording:
         return np.asarray(1e3 * np.linalg.norm(self._frames.X_WI[0][:3, :2], axis=0))
 
     @property
-    def left_out(self) -> dict[str, list[int]]:
+    def left_out(self) -> dict[Unusable, list[int]]:
         """Numbers of the frames left out by reason, with those so far that hold nothing."""
-        void = {EMPTY: sorted(self._frames.void)} if self._frames.void else {}
+        void = {Unusable.EMPTY: sorted(self._frames.void)} if self._frames.void else {}
         return {**self._frames.left_out, **void}
 
     @property
