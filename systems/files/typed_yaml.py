@@ -148,7 +148,8 @@ class _Loader:
         raise ConfigurationError(f"{self._source}: {path}: {text}")
 
     def _refuse(self, path: str, value: Any, wanted: str) -> typing.NoReturn:
-        self._fail(path, f"{value!r} is not allowed; expected {wanted}")
+        said = "it has no value" if value is None else f"{value!r} is not allowed"
+        self._fail(path, f"{said}; expected {wanted}")
 
     def make(self, hint: Any, value: Any, path: str, default: Any = None) -> Any:
         """Return a value of a field's type, or refuse it; a mapping changes the default."""
@@ -184,14 +185,14 @@ class _Loader:
     def _choose(self, hint: Any, value: Any, path: str, default: Any) -> Any:
         """Return a value of one of several types; among dataclasses, its ``kind`` chooses."""
         options = [each for each in typing.get_args(hint) if each is not type(None)]
-        if value is None:
-            if len(options) == len(typing.get_args(hint)):
-                self._refuse(path, value, "a value")
+        if value is None and len(options) < len(typing.get_args(hint)):
             return None
         if len(options) == 1:
             return self.make(options[0], value, path, default)
         found: list[Any] = [each for each in options if dataclasses.is_dataclass(each)]
         kinds = {each().kind: each for each in found}
+        if not kinds and value is None:
+            self._refuse(path, value, "one")
         if not kinds:
             return value  # one of Drake's own choices, which Drake checks
         mapping = {"kind": value} if isinstance(value, str) else value

@@ -85,7 +85,7 @@ def test_loads_over_defaults():
         ({"front": {"radius": float("nan")}}, "front.radius: nan is not allowed"),
         ({"spares": [{}, {"radius": 0}]}, "spares.1.radius: 0.0 is not allowed"),
         ({"bell": "yes"}, "bell: 'yes' is not allowed; expected true or false"),
-        ({"name": None}, "name: None is not allowed"),
+        ({"name": None}, "name: it has no value; expected text"),
     ],
 )
 def test_mistakes_are_named_by_their_path(data, message):
@@ -160,7 +160,7 @@ def test_kinds_may_be_listed_and_a_default_may_choose():
         ("chian", "x: guard: unknown kind 'chian'; did you mean 'chain'?"),
         (3, "x: guard: 3 is not allowed; expected one of lock, chain, or a mapping"),
         ({"length": 1}, "x: guard.length: unknown field; known: keys, kind"),
-        (None, "x: guard: None is not allowed; expected a value"),
+        (None, "x: guard: it has no value; expected one of"),
     ],
 )
 def test_a_wrong_kind_is_one_clear_line(guard, message):
