@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonoservo.systems.files.memory import require_memory
-from sonoservo.systems.files.plus_fields import numbered_fields, unknown_fields
+from sonoservo.systems.files.plus_fields import numbered_fields, refuse_misspelt, unknown_fields
 from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
 from sonoservo.systems.files.volume_file import (
     MAX_FILES,
@@ -112,6 +112,7 @@ def open_nrrd(path: Path, *, frames: bool = False) -> VolumeFile:
 def _read_header(path: Path) -> tuple[dict[str, str], list[str], int]:
     """Return the fields, the listed data files, and the offset of the first byte after them."""
     fields: dict[str, str] = {}
+    keys: dict[str, str] = {}
     names: list[str] = []
     with path.open("rb") as file:
         if not re.fullmatch(rb"NRRD000\d\s*", file.readline(99)):
@@ -129,15 +130,17 @@ def _read_header(path: Path) -> tuple[dict[str, str], list[str], int]:
             if not line:
                 break
             if not line.startswith("#"):
-                _add_field(path, fields, line)
-        return fields, names, file.tell()
+                _add_field(path, fields, keys, line)
+        refuse_misspelt(path, fields, FIELDS)
+        refuse_misspelt(path, dict.fromkeys(_AXIS.sub("", key) for key in keys), KEYS)
+        return fields | keys, names, file.tell()
 
 
-def _add_field(path: Path, fields: dict[str, str], line: str) -> None:
+def _add_field(path: Path, fields: dict[str, str], keys: dict[str, str], line: str) -> None:
     field, colon, value = line.partition(": ")
     key, equals, text = line.partition(":=")
     if equals and len(key) < len(field):
-        fields[key] = text.strip()  # of keys, the last one counts
+        keys[key] = text.strip()  # of keys, the last one counts
         return
     if not colon:
         field, colon, value = line.partition(":")
@@ -160,6 +163,8 @@ class _Reader:
     ) -> None:
         self.path, self.header, self.names = path, header, names
         self.offset, self.frames = offset, frames
+        if not re.fullmatch(r"\d+(\s+\d+)*", header.get("sizes", "")):
+            raise self.refuse("sizes", "a number of samples is expected for each axis")
         self.sizes = [int(n) for n in header["sizes"].split()]
         self.notes: list[str] = []
 
@@ -169,10 +174,8 @@ class _Reader:
 
     def describe(self) -> VolumeFile:
         header, sizes = self.header, self.sizes
-        if len(sizes) != int(header["dimension"]):
-            raise ConfigurationError(
-                f"{self.path}: {len(sizes)} sizes for {header['dimension']} dimensions"
-            )
+        if header.get("dimension") != str(len(sizes)):
+            raise self.refuse("dimension", f"it is the number of sizes, {len(sizes)}")
         spatial, listed, coloured = self._axes()
         nx, ny, nz = (*(sizes[axis] for axis in spatial), 1)[:3]
         shape = (nx, ny, nz)
@@ -180,12 +183,13 @@ class _Reader:
         channels = 1 if coloured is None else sizes[coloured]
         directions, origin = self._geometry(spatial)
         check_layout(self.path, shape, count, directions, frames=self.frames)
-        if header["type"].lower() not in _CODES:
+        kind = header.get("type", "").lower()
+        if kind not in _CODES:
             raise self.refuse("type", f"use one of {', '.join(n[0] for n in _TYPES.values())}")
         endian = header.get("endian", "little").lower()
         if endian not in ("little", "big"):
             raise self.refuse("endian", "it is little or big")
-        dtype = np.dtype((">" if endian == "big" else "<") + _CODES[header["type"].lower()])
+        dtype = np.dtype((">" if endian == "big" else "<") + _CODES[kind])
         size = nx * ny * nz * count * channels * dtype.itemsize
         data = self._data(size)
         self.notes += data.notes()
@@ -248,9 +252,9 @@ class _Reader:
             )
         if not re.fullmatch("C?SSSL?|SSSCL?|LSSS", letters):
             raise ConfigurationError(
-                f"{self.path}: kinds: {self.header.get('kinds', count * ['domain'])} is not "
-                "allowed; a volume has three in space, a sequence also has a list axis, first or "
-                "last"
+                f"{self.path}: kinds: {' '.join(kinds)!r} is not allowed; a volume has three axes "
+                "in space, a sequence also has a list axis, last or, without colours, first; "
+                "colours come right before or after the axes in space"
             )
         return spatial, next(iter(listed), None), next(iter(colours), None)
 

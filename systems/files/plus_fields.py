@@ -1,8 +1,11 @@
 """Fields that PLUS writes into headers, and what they mean for the voxels."""
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import replace
+from difflib import get_close_matches
+from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -56,6 +59,39 @@ def numbered_fields(
     plain = [name for name in fields if _is_frame_field(name) and name not in known]
     only = {name: f"Seq_Frame0000_{name}" for name in plain if not _FRAME_FIELD.fullmatch(name)}
     return {only.get(name, name): value for name, value in fields.items()}
+
+
+def refuse_misspelt(
+    path: Path,
+    names: Collection[str],
+    known: Mapping[str, FieldUse],
+    given: Collection[str] = (),
+) -> None:
+    """Raise ConfigurationError if an unknown field is nearly one that is used, and missing.
+
+    ``known`` are the fields of a whole file; those ``given`` under other names are not missing.
+    """
+    spellings = {_spelling(each) for each in SEQUENCE_FIELDS}
+    for name in names:
+        if match := _FRAME_FIELD.fullmatch(name):
+            meant = name.removesuffix(match[1]) + _nearest_of_frame(match[1])
+        else:
+            right = _spelling(name) in spellings
+            meant = name if right else _nearest(name, {**SEQUENCE_FIELDS, **known})
+        if meant not in names and meant not in given:
+            raise ConfigurationError(f"{path}: {name}: unknown; did you mean {meant!r}?")
+
+
+def _nearest(name: str, fields: Mapping[str, FieldUse]) -> str:
+    """Return the used field that a name nearly is, or else the name."""
+    near = get_close_matches(name, fields, 1, cutoff=0.85)
+    return near[0] if near and fields[near[0]] == FieldUse.USED else name
+
+
+@lru_cache(maxsize=256)
+def _nearest_of_frame(name: str) -> str:
+    """Return the used field of a volume or frame that a name nearly is, or else the name."""
+    return name if _is_frame_field(name) else _nearest(name, FRAME_FIELDS)
 
 
 def unknown_fields(

@@ -6,7 +6,6 @@ header such as ``NDims = -1``; the tests use it as a reference.
 
 import re
 from collections.abc import Mapping
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 
 from sonoservo.systems.files.plus_fields import (
     numbered_fields,
+    refuse_misspelt,
     sequence_field,
     unknown_fields,
 )
@@ -83,25 +83,19 @@ def open_meta_image(path: Path, *, frames: bool = False) -> VolumeFile:
         return _describe(path, *_read_header(path), frames)
 
 
-def _refuse_misspelt(path: Path, fields: Mapping[str, str]) -> None:
-    """Raise ConfigurationError if an unknown field is nearly one that is used and missing."""
-    given = set(fields).union(*(each for each in _ALTERNATIVES if not each.isdisjoint(fields)))
-    used = (name for name, use in FIELDS.items() if use == FieldUse.USED)
-    missing = [name for name in used if name not in given]
-    for name in fields:
-        if name not in FIELDS and (near := get_close_matches(name, missing, 1, cutoff=0.85)):
-            raise ConfigurationError(f"{path}: {name}: unknown; did you mean {near[0]!r}?")
-
-
 def _describe(
     path: Path, fields: dict[str, str], names: list[str], offset: int, frames: bool
 ) -> VolumeFile:
     sizes = [int(n) for n in _numbers(path, fields, ("DimSize",))]
     n = len(sizes)
-    if n not in (3, 4) or fields.get("NDims", str(n)) != str(n):
+    if n not in (3, 4):
         raise ConfigurationError(
             f"{path}: DimSize: {fields['DimSize']!r} is not allowed; a volume has 3 axes, "
-            "a sequence of volumes 4, as many as NDims"
+            "a sequence of volumes 4"
+        )
+    if fields.get("NDims", str(n)) != str(n):
+        raise ConfigurationError(
+            f"{path}: NDims: {fields['NDims']!r} is not allowed; DimSize has {n} axes"
         )
     if fields.get("ObjectType", "Image").lower() != "image":
         raise ConfigurationError(f"{path}: ObjectType: {fields['ObjectType']!r} is no Image")
@@ -140,7 +134,8 @@ def _describe(
     def rescaled(number: int) -> NDArray[Any]:
         return read(number) * slope + shift
 
-    _refuse_misspelt(path, fields)
+    given = set().union(*(each for each in _ALTERNATIVES if not each.isdisjoint(fields)))
+    refuse_misspelt(path, fields, FIELDS, given)
     fields = numbered_fields(fields, FIELDS, count)
     notes = [*data.notes(), *unknown_fields("MetaImage", fields, FIELDS)]
     if not frames:
@@ -182,6 +177,10 @@ def _read_header(path: Path) -> tuple[dict[str, str], list[str], int]:
                     raise ConfigurationError(f"{path}: its header has no ElementDataFile")
                 continue
             key, equals, value = decode_header(line).partition("=")
+            if fields and not equals:
+                raise ConfigurationError(
+                    f"{path}: {key.strip()[:60]}: it has no value; fields are NAME = VALUE"
+                )
             if not equals or file.tell() > MAX_HEADER:
                 raise ConfigurationError(f"{path}: not a MetaImage file, or its header has no end")
             fields[key.strip()] = value.strip()
@@ -213,7 +212,10 @@ def _numbers(
         numbers = np.array([np.nan])
     right = len(numbers) == count if count is not None else len(numbers) > 0
     if not right or not np.isfinite(numbers).all():
-        raise ConfigurationError(f"{path}: {name}: {fields.get(name, '')!r} is not allowed")
+        raise ConfigurationError(
+            f"{path}: {name}: {fields.get(name, '')!r} is not allowed; expected finite numbers: "
+            f"{count or '3 or 4'}"
+        )
     return numbers
 
 

@@ -330,8 +330,11 @@ REFUSED = {
     "orientation": (["UltrasoundImageOrientation = MX"], "UltrasoundImageOrientation"),
     "channels": (["ElementNumberOfChannels = 2"], "3 or 4 for colours"),
     "unit": (["DistanceUnits = inch"], "DistanceUnits"),
-    "axes": (["NDims = 4"], "as many as NDims"),
+    "axes": (["NDims = 4"], "NDims: '4' is not allowed; DimSize has 3 axes"),
     "misspelt": (["ElementSpacng = 1 1 1"], "did you mean 'ElementSpacing'"),
+    "time": (["Seq_Frame0000_TimeStamp = 1"], "did you mean 'Seq_Frame0000_Timestamp'"),
+    "bare": (["DimSize ="], "DimSize: '' is not allowed; expected finite numbers: 3 or 4"),
+    "line": (["Comment"], "Comment: it has no value"),
 }
 
 
@@ -342,6 +345,9 @@ NRRD_REFUSED = {
     "unit": (["space: LPS", 'space units: "inch" "mm" "mm"'], "space units"),
     "encoding": (["encoding: hex"], "twice|not supported"),
     "files": (["data file: LIST", "a.raw", "b.raw"], "no file .a.raw"),
+    "misspelt field": (["spacing: 1 1 1"], "spacing: unknown; did you mean 'spacings'"),
+    "misspelt key": (["decibel_per_level:=1"], "did you mean 'decibels_per_level'"),
+    "colours": (["kinds: list 3-color domain"], "'list 3-color domain' is not allowed"),
 }
 
 
