@@ -91,7 +91,13 @@ def _nearest(name: str, fields: Mapping[str, FieldUse]) -> str:
 @lru_cache(maxsize=256)
 def _nearest_of_frame(name: str) -> str:
     """Return the used field of a volume or frame that a name nearly is, or else the name."""
-    return name if _is_frame_field(name) else _nearest(name, FRAME_FIELDS)
+    if _is_frame_field(name):
+        return name
+    ends = [name[k:].lower() for k in range(len(name))]
+    for field in ("Transform", "TransformStatus"):  # after the transform's name
+        if near := get_close_matches(field.lower(), ends, 1, cutoff=0.85):
+            return name[: -len(near[0])] + field
+    return _nearest(name, FRAME_FIELDS)
 
 
 def unknown_fields(

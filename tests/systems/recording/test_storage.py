@@ -333,6 +333,8 @@ REFUSED = {
     "axes": (["NDims = 4"], "NDims: '4' is not allowed; DimSize has 3 axes"),
     "misspelt": (["ElementSpacng = 1 1 1"], "did you mean 'ElementSpacing'"),
     "time": (["Seq_Frame0000_TimeStamp = 1"], "did you mean 'Seq_Frame0000_Timestamp'"),
+    "transform": (["Seq_Frame0000_ImageToRTransfrm = 1"], "'Seq_Frame0000_ImageToRTransform'"),
+    "status": (["Seq_Frame0000_ImageToRTransformStats = OK"], "ImageToRTransformStatus'"),
     "bare": (["DimSize ="], "DimSize: '' is not allowed; expected finite numbers: 3 or 4"),
     "line": (["Comment"], "Comment: it has no value"),
 }
