@@ -12,7 +12,7 @@ from scipy.stats import skew
 from scipy.stats import t as student
 
 from sonoservo.systems.calibration.pose_errors import PoseErrors, told_errors
-from sonoservo.systems.files.volume_file import MAX_STEP
+from sonoservo.systems.files.volume_file import MAX_STEP, SECONDS
 from sonoservo.systems.recording.valid_frames import MAX_TIME, rising
 from sonoservo.systems.sampling.interpolation import sample_grid
 from sonoservo.systems.signals.immutable import NotFound
@@ -138,8 +138,8 @@ class _Fault(Enum):
     SLOW = (
         Check.RATE,
         Grade.DOUBTFUL,
-        "two {what} are {period:.3g} s apart",
-        "are time stamps in ms? They must be in s; else give the rate (--volume-rate)",
+        "two {what} are {period:.3g} s apart, as if time stamps were in {unit}",
+        "if they are, write them in s, or give the rate (--volume-rate {rate:.3g})",
     )
     FAST = (Check.RATE, Grade.DOUBTFUL,
             "{rate}, faster than any scanner",
@@ -293,7 +293,9 @@ def check_times(times: ArrayLike, what: str = "volumes") -> list[Finding]:
     text = f"{rate} over {steps.sum():.3g} s, jitter {1e3 * jitter * period:.1f} ms"
     findings = [_fine(Check.RATE, text)]
     if period > MAX_STEP:
-        findings.append(_Fault.SLOW(what=what, period=period))
+        unit = "ms" if SECONDS["ms"] * period <= MAX_STEP else "us"
+        meant = 1 / (SECONDS[unit] * period)
+        findings.append(_Fault.SLOW(what=what, period=period, unit=unit, rate=meant))
     if 1 / period > (_FASTEST_VOLUMES if what == "volumes" else _FASTEST_FRAMES):
         findings.append(_Fault.FAST(rate=rate))
     if jitter > _JITTER:

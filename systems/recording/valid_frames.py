@@ -99,8 +99,8 @@ def choose_items(
         left_out.setdefault(reason, []).append(int(k))
     if not kept.any() or 2 * np.count_nonzero(kept) < len(kept):
         raise ConfigurationError(
-            f"{path}: the times of its {what}s are missing, out of range or do not rise; give "
-            "their rate (--volume-rate)"
+            f"{path}: the times of its {what}s are missing, out of range (+-{MAX_TIME:g} s) or do "
+            "not rise; give their rate (--volume-rate)"
         )
     return ValidItems(chosen[kept], np.array(matrices)[kept], times[chosen[kept]], left_out)
 

@@ -89,6 +89,13 @@ def test_times_that_need_something(times, check, text):
     assert any(f.check is check and text in f.text and f.advice for f in findings), findings
 
 
+@pytest.mark.parametrize(("step", "unit"), [(300.0, "ms"), (3e5, "us")])
+def test_times_in_another_unit_are_told_with_the_rate_that_is_meant(step, unit):
+    finding = check_times(step * np.arange(9))[-1]
+    assert f"as if time stamps were in {unit}" in finding.text
+    assert "--volume-rate 3.33" in finding.advice
+
+
 def test_gaps_and_jitter_are_not_of_volumes_left_out_for_their_time():
     findings = check_times(SET_BACK)
     assert {each.check for each in findings if each.grade} == {Check.CLOCK}
