@@ -53,7 +53,10 @@ _NO_CONTACT = Remedy(
     "check that the arm reaches the body and that its joints move",
     "max_speed, joint limits and home posture in the arm's file; the phantom's place",
 )
-_OUTSIDE = Remedy("push it in before the run ends", "hand.start, hand.pushes, duration", "")
+_OUTSIDE = (
+    Remedy("push it in before the run ends", "hand.start, hand.pushes, duration"),
+    Remedy("record until it is in the tissue", options=""),
+)
 _UNSEEN = Remedy("push it further or below the probe", "hand.pushes, hand.aim", "")
 
 
@@ -315,7 +318,7 @@ def missing_needle(log: RunLog) -> tuple[str, Sequence[Remedy]]:
         return "No volume was acquired.", SearchReason.NO_VOLUME.remedies
     last = f" {_sentence(reasons[-1])}" if reasons[-1] else ""
     if np.nanmax(log.inserted_length, initial=-1) == 0:
-        return f"The needle stayed outside the tissue.{last}", [_OUTSIDE]
+        return f"The needle stayed outside the tissue.{last}", _OUTSIDE
     visible = at_times(log, log.visible_length, log.volume_time)
     seen = np.nan_to_num(visible) > _IN_VIEW
     if np.isfinite(visible).any() and not seen.any():

@@ -258,16 +258,18 @@ def test_a_detection_that_is_not_confirmed_is_said_to_be_so():
 
 
 @pytest.mark.parametrize(
-    ("truth", "beginning", "field"),
+    ("truth", "beginning", "field", "recorded"),
     [
-        ({"visible": 0.0}, "The needle never came into view. Nothing changed", "hand.aim"),
-        ({"inserted": 0.0}, "The needle stayed outside the tissue. Nothing", "hand.start"),
+        ({"visible": 0.0}, "The needle never came into view. Nothing changed", "hand.aim", "push"),
+        ({"inserted": 0.0}, "The needle stayed outside the tissue.", "hand.start", "record"),
     ],
 )
-def test_a_needle_that_could_not_be_seen_is_said_to_be_so(truth, beginning, field):
-    reason, change = told(log([NONE, STILL, STILL], **truth))
+def test_a_needle_that_could_not_be_seen_is_said_to_be_so(truth, beginning, field, recorded):
+    run = log([NONE, STILL, STILL], **truth)
+    reason, change = told(run)
     assert reason.startswith(beginning)
     assert field in change
+    assert told(run, Reader.RECORDING)[1].startswith(recorded)
 
 
 def test_a_run_too_short_for_a_volume_says_so():
