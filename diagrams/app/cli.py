@@ -50,6 +50,7 @@ from sonoservo.diagrams.app.options import (
     console,
     free_folder,
     say,
+    say_probe,
     say_report,
     waiting,
     with_common_options,
@@ -146,6 +147,8 @@ def run_command(
 
         fields, own = without_own_tracker(changes)
         loaded = load_scenario(scenario, changes=fields, seed=seed, as_published=as_published)
+    if isinstance(probe := getattr(loaded, "probe", None), str):  # not of all experiments
+        say_probe(probe)
     viewed = ViewedRun(log, loaded)
     folder = results.out or free_folder(f"{loaded.name}_seed{loaded.seed}")
     if click:
@@ -247,6 +250,7 @@ def drive_command(
     following = require_scenario(loaded, FollowingScenario)
     with refusing(loaded):
         following = replace(following, duration=duration)
+    say_probe(following.probe)
     viewed = ViewedRun(log, following)
     folder = results.out or free_folder(f"{loaded.name}_driven_seed{loaded.seed}")
     pages = open_pages(f"{loaded.name}, driven", page)
@@ -296,6 +300,7 @@ def scan_command(
         time = 0.0  # The phantom by itself, before the needle is put in.
     loaded = load_scenario(scenario or "chatelain2013_fig5", changes=changes, seed=seed)
     following = require_scenario(loaded, FollowingScenario)
+    say_probe(following.probe)
     result = scan(following, time=time)
     summary = summarize_scan(result, following)
     folder = results.out or free_folder(f"{loaded.name}_seed{loaded.seed}_scan")

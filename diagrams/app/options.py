@@ -427,6 +427,14 @@ def say_notes(*notes: str) -> None:
         say(f"{note[:1].upper()}{note[1:]}.")
 
 
+def say_probe(name: str) -> None:
+    """Print which fields of the transducer a probe's file leaves out, if it does."""
+    from sonoservo.systems.ultrasound.transducer import assumed_fields
+
+    if assumed := assumed_fields(name):
+        say(f"{name} leaves out what is taken from the 4DC7-3/40: {', '.join(assumed)}.")
+
+
 def say_report(folder: Path) -> None:
     """Print where the report is, if it could be written."""
     if (folder / "report.html").is_file():

@@ -1,8 +1,8 @@
 """Hardware of a motorised ultrasound probe."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Annotated, TypeAlias
+from typing import Annotated, Any, TypeAlias
 
 from sonoservo.systems.files.model_file import model_file, read_once, read_section
 from sonoservo.systems.files.typed_yaml import load_typed
@@ -124,7 +124,16 @@ def load_transducer(name: str) -> Transducer:
     return _read_transducer(model_file("probes", name))
 
 
+def assumed_fields(name: str) -> list[str]:
+    """Return the fields that a probe's file leaves out: they are those of the 4DC7-3/40."""
+    content = _section(model_file("probes", name))
+    return [each.name for each in fields(Transducer) if each.name not in content]
+
+
 @read_once
 def _read_transducer(path: Path) -> Transducer:
-    content = read_section(path, "transducer", ("transducer", "body"))
-    return load_typed(Transducer, content, f"{path}: transducer")
+    return load_typed(Transducer, _section(path), f"{path}: transducer")
+
+
+def _section(path: Path) -> dict[str, Any]:
+    return read_section(path, "transducer", ("transducer", "body"))

@@ -71,9 +71,13 @@ def test_the_sheet_reads_in_millimetres_and_decibels(shown):
 
 
 def test_command_writes_picture_volume_and_figures(tmp_path):
+    probe = tmp_path / "mine.yaml"
+    probe.write_text("transducer: {array_radius: 0.040}\n")
     result = sonoservo_here("scan", SCENARIO, "--out", str(tmp_path / "new"), "--seed", "2",
-                       "--json", str(tmp_path / "scan.json"))  # fmt: skip
+                       "--json", str(tmp_path / "scan.json"),
+                       "--set", f"probe={probe}")  # fmt: skip
     assert result.returncode == 0, result.stderr
+    assert "leaves out what is taken from the 4DC7-3/40: motor_radius, lines" in result.stdout
     assert "27 frames x 96 lines x 293 samples" in result.stdout
     with Image.open(tmp_path / "new" / "scan.png") as picture:
         assert min(picture.size) > 800

@@ -11,6 +11,7 @@ from sonoservo.systems.ultrasound import (
     load_transducer,
     sweep_geometry,
 )
+from sonoservo.systems.ultrasound.transducer import assumed_fields
 
 
 def test_shipped_transducers_load():
@@ -18,6 +19,7 @@ def test_shipped_transducers_load():
     zhao = load_transducer("zhao2012")
     assert (zhao.lines - 1) * zhao.line_pitch_deg == pytest.approx(40, abs=1e-3)
     assert load_transducer("trus").array_radius == pytest.approx(0.010)
+    assert not any(map(assumed_fields, ("4dc7_3_40", "4dl14_5_38", "matrix", "trus", "zhao2012")))
     with pytest.raises(FileNotFoundError, match=r"4dc7_3_40.*zhao2012"):
         load_transducer("5dc8")
 
@@ -26,6 +28,8 @@ def test_own_file(tmp_path):
     path = tmp_path / "mine.yaml"
     path.write_text("transducer: {array_radius: 0.06}\n")
     assert load_transducer(str(path)) == dataclasses.replace(Transducer(), array_radius=0.06)
+    assert len(assumed_fields(str(path))) == len(dataclasses.fields(Transducer)) - 1
+    assert "array_radius" not in assumed_fields(str(path))
     path.write_text("transducer: {lens_focus: -1}\n")
     with pytest.raises(ConfigurationError, match=r"mine\.yaml: transducer: lens_focus"):
         load_transducer(str(path))
