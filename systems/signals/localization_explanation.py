@@ -93,9 +93,10 @@ class NeedleExtent(Immutable):
     tip_std: float
     """Abscissa of the end that is taken for the tip, and its standard deviation."""
 
+    bevel: float
     bevel_std: float
-    """Standard deviation of the part of the bevel that is not seen beyond the end. It stays as long
-    as the bevel is turned as it is, and is not part of ``tip_std``."""
+    """Length of the part of the bevel that is not seen beyond the end, and its standard deviation.
+    It stays as long as the bevel is turned as it is, and is not part of ``tip_std``."""
 
     unseen: float
     """Probability that a needle which goes on beyond the end is not seen there."""

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pydrake.math import RigidTransform
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
-from scipy.special import ndtr
+from scipy.special import log_ndtr, ndtr
 
 from sonoservo.systems.signals.immutable import Immutable, Shape, Vector3
 from sonoservo.systems.signals.needle_curve import NeedleCurve
@@ -63,20 +63,31 @@ class InteractingState(Immutable):
 
     @cached_property
     def _needle(self) -> tuple[Floats, Floats]:
-        """Mean (6n,) and covariance of the needle's control points and velocities up to its tip."""
-        size = self._size
-        _, mean, P = _mixed(self.weights, self.means, self.covariances)
-        beyond = _beyond(self.axis, size)
+        """Most probable (6n,) control points and velocities up to the tip, and their covariance."""
+        size, k = self._size, self.axis
+        beyond = _beyond(k, size)
         C = np.eye(2 * size, 3 * size + 2)
         C[:size, -2], C[size:, -1] = beyond, beyond
-        covariance = C @ P @ C.T
+        # The tip is at the end that is seen, or anywhere beyond: not in between, as in the mean.
+        kinds = np.tile([[1, 1, 0], [0, 0, 1]], 4)
+        totals, x, P = _mixed(kinds * self.weights, self.means, self.covariances)
+        means, covariances = x @ C.T, C @ P @ C.T
         # What is not seen goes on along the needle, whose direction is not known exactly.
-        points, k = mean[:size].reshape(-1, 3), self.axis
         aside = np.kron([-1.0, *np.zeros(size // 3 - 2), 1.0], np.eye(3) - np.outer(k, k))
-        turns = aside @ P[:size, :size] @ aside.T / np.sum((points[-1] - points[0]) ** 2)
-        covariance[size - 3 : size, size - 3 : size] += (P[-2, -2] + mean[-2] ** 2) * turns
+        points = x[:, :size].reshape(2, -1, 3)
+        chords = np.sum((points[:, -1] - points[:, 0]) ** 2, axis=1)
+        turns = (P[:, -2, -2] + x[:, -2] ** 2) / chords
+        tip = slice(size - 3, size)
+        covariances[:, tip, tip] += turns[:, np.newaxis, np.newaxis] * (
+            aside @ P[:, :size, :size] @ aside.T
+        )
+        densities = totals / np.sqrt(k @ covariances[:, tip, tip] @ k)
+        mean = means[np.argmax(densities)]
+        apart = means - mean
+        spread = apart[..., np.newaxis] * apart[:, np.newaxis]
+        covariance = np.tensordot(totals, covariances + spread, 1)
         covariance[:size, :size] += self.constant
-        return C @ mean, covariance
+        return mean, covariance
 
     @property
     def curve(self) -> NeedleCurve:
@@ -299,11 +310,12 @@ class InteractingFilter:
         corrected = P[:, np.newaxis] - gains @ CP
         weights = came[:, np.newaxis] * probabilities * np.exp(fits - fits.max())
         weights *= _beyond_end(found, corrected) / _beyond_end(mean, P)[:, np.newaxis]
+        found, corrected = _not_before_end(found, corrected)
         # States that were far apart before the volume are close now, so they are merged only here.
         weights, means, covariances = (
             each.reshape(12, -1, *each.shape[2:]) for each in (weights, found, corrected)
         )
-        weights, means, covariances = _mixed(np.maximum(weights, 1e-300), means, covariances)
+        weights, means, covariances = _mixed(weights, means, covariances)
         return replace(
             state,
             means=means,
@@ -395,6 +407,22 @@ def _beyond_end(means: Floats, covariances: Floats) -> Floats:
     return ndtr(means[..., -2] / np.sqrt(np.maximum(covariances[..., -2, -2], 1e-12)))
 
 
+def _not_before_end(means: Floats, covariances: Floats) -> tuple[Floats, Floats]:
+    """Return moments of Gaussians without what lies before the end that is seen.
+
+    A tip behind that end is pushed on, and all that is correlated with it (Simon and Simon 2010).
+    """
+    std = np.sqrt(np.maximum(covariances[..., -2, -2], 1e-12))
+    t = means[..., -2] / std
+    hazard = np.exp(-0.5 * t**2 - log_ndtr(t)) / math.sqrt(2 * math.pi)
+    gain = covariances[..., -2] / std[..., np.newaxis]
+    lost = gain[..., np.newaxis] * gain[..., np.newaxis, :]
+    return (
+        means + hazard[..., np.newaxis] * gain,
+        covariances - (hazard * (hazard + t))[..., np.newaxis, np.newaxis] * lost,
+    )
+
+
 def _rotation(start: Floats, end: Floats) -> Floats:
     """Return the (3, 3) smallest rotation that turns one unit vector into another."""
     turn = np.cross(start, end)
@@ -410,9 +438,13 @@ def _root(R: Floats) -> Floats:
 
 
 def _mixed(weights: Floats, means: Floats, covariances: Floats) -> tuple[Any, Any, Any]:
-    """Return weight, mean and covariance of mixtures of Gaussians, (..., m) weighted ones each."""
+    """Return weight, mean and covariance of mixtures of Gaussians, (..., m) weighted ones each.
+
+    What is impossible has any mean.
+    """
     total = weights.sum(axis=-1)
-    shares = (weights / np.maximum(total, 1e-300)[..., np.newaxis])[..., np.newaxis, :]
+    shares = np.where(total[..., np.newaxis] > 0, weights, 1.0)
+    shares = (shares / shares.sum(axis=-1, keepdims=True))[..., np.newaxis, :]
     mean = (shares @ means)[..., 0, :]
     apart = means - mean[..., np.newaxis, :]
     size = means.shape[-1]

@@ -202,7 +202,7 @@ def _judge(
     # Interior points are uniform along the chord. The entry rests, the tip moves, no point slides.
     order = region.curve.order
     u = np.linspace(0, 1, order)
-    a = start + u * (extent.tip - start)
+    a = start + u * (extent.tip + extent.bevel - start)
     k = fit.axis.direction
     deeper = volume.X_WP.rotation().matrix()[:, 1]
     deeper = deeper - (deeper @ k) * k

@@ -103,7 +103,7 @@ def line_region(line: NeedleCurve, parameters: NeedleLocalizerParameters) -> Sea
         curve=line,
         radius=0.8 * parameters.margin,
         before=parameters.search_reach,
-        beyond=1.5 * parameters.margin,
+        beyond=parameters.search_reach,
         shaft_beyond=0.0,
         max_angle=math.radians(parameters.max_angle_deg),
     )

@@ -53,6 +53,10 @@ _MIRRORED, _MIRROR_ANGLE = 30.0, math.radians(10)
 """How much brighter a smooth needle is that mirrors sound back, in dB, and the angle from there in
 which most of that goes (Nichols et al. 2003, and the echo of a steel cylinder)."""
 
+_BRIGHTEST = 40.0, 2.5
+"""Contrast in dB of a smooth needle that mirrors sound, at most, and its standard deviation. One
+that would be brighter, if it faced the sound, is echogenic: its bevel is not, and does not show."""
+
 REACH = 20e-3
 """Mean length in m of what is not seen of a needle, beyond where it was last seen."""
 
@@ -233,10 +237,15 @@ def find_extent(profile: AxisProfile, parameters: TipParameters) -> NeedleExtent
     places = _places(profile.a, weights.sum(axis=0), rests.sum())
     seen, tip, std = places[0]
     at, beyond_at = np.searchsorted(profile.a[:-1], [tip, tip + REACH / 2])
-    turned = 0.0
+    turned = echogenic = 0.0
     if profile.incidence is not None:
         law = _MIRRORED * np.exp(-profile.incidence[[at, beyond_at]] / _MIRROR_ANGLE)
         turned = float(law[1] - law[0])
+        facing = float(tops[at] + _MIRRORED - law[0])
+        echogenic = float(ndtr((facing - _BRIGHTEST[0]) / _BRIGHTEST[1]))
+    # Any part of a bevel may be hidden if the end is rough, and is if that was echogenic.
+    rough = 1 - _mirror_share(tops[at])
+    bevel = rough * echogenic * parameters.bevel_length / 2
     # Outside the tissue nothing scatters, so a needle that enters it in view comes from nowhere.
     around = uniform_filter1d(profile.background, round(_TREND / step))
     empty = around < np.median(around[first : last + 1]) - _EMPTY
@@ -247,7 +256,8 @@ def find_extent(profile: AxisProfile, parameters: TipParameters) -> NeedleExtent
         end=float(profile.a[last]),
         tip=float(tip),
         tip_std=float(std),
-        bevel_std=math.sqrt((1 - _mirror_share(tops[at])) / 3) * parameters.bevel_length,
+        bevel=bevel,
+        bevel_std=math.sqrt(rough * parameters.bevel_length**2 / 3 - bevel**2),
         unseen=_unseen(float(tops[at]), turned, parameters.contrast),
         seen=float(seen),
         elsewhere=places[1:] - [0.0, tip, 0.0],
