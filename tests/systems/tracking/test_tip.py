@@ -45,6 +45,19 @@ def test_a_rough_end_may_be_that_of_shaft_or_bevel():
     assert mirror.bevel_std < 0.2e-3
 
 
+@pytest.mark.parametrize(
+    ("level", "incidence_deg", "hidden"), [(16.0, 35.0, 0.5), (16.0, 5.0, 0.0), (4.0, 35.0, 0.0)]
+)
+def test_the_bevel_of_a_needle_too_bright_to_be_smooth_is_hidden(level, incidence_deg, hidden):
+    seen = profile(0.03, level)
+    seen = replace(seen, incidence=np.full(len(seen.a), np.deg2rad(incidence_deg)))
+    extent, length = find_extent(seen, PARAMETERS), PARAMETERS.bevel_length
+    assert extent.bevel == pytest.approx(hidden * length, abs=0.1 * length)
+    # What is hidden is known to a uniform distribution, about its mean or about the end.
+    spread = (12 if hidden else 3) ** -0.5
+    assert extent.bevel_std == pytest.approx(spread * length, rel=0.2)
+
+
 @pytest.mark.parametrize("ahead", [8e-3, 12e-3, 20e-3])
 @pytest.mark.parametrize("level", [12.0, 30.0])
 def test_what_shines_ahead_of_the_tip_is_not_its_end(level, ahead):
