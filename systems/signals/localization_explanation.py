@@ -1,5 +1,6 @@
 """Explanation of a localization: all intermediate results in one volume."""
 
+import math
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -74,6 +75,9 @@ class AxisProfile(Immutable):
     incidence: Floats | None = None
     """(m,) angles in rad by which the sound's direction differs from a right angle to the axis;
     None if unknown."""
+
+    white: float = math.inf
+    """Level of white in dB."""
 
     before: Floats | None = None
     looks: Floats | None = None

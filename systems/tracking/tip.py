@@ -53,10 +53,6 @@ _MIRRORED, _MIRROR_ANGLE = 30.0, math.radians(10)
 """How much brighter a smooth needle is that mirrors sound back, in dB, and the angle from there in
 which most of that goes (Nichols et al. 2003, and the echo of a steel cylinder)."""
 
-_BRIGHTEST = 40.0, 2.5
-"""Contrast in dB of a smooth needle that mirrors sound, at most, and its standard deviation. One
-that would be brighter, if it faced the sound, is echogenic: its bevel is not, and does not show."""
-
 REACH = 20e-3
 """Mean length in m of what is not seen of a needle, beyond where it was last seen."""
 
@@ -177,6 +173,7 @@ def axis_profile(
         needle_blur(volume, p_P, along, parameters.beam_width),
         parameters.contrast,
         np.arcsin(np.clip(np.abs(sound_directions(volume, p_P) @ along), 0, 1)),
+        white=255 * volume.decibels_per_level,
     )
 
 
@@ -237,17 +234,18 @@ def find_extent(profile: AxisProfile, parameters: TipParameters) -> NeedleExtent
     places = _places(profile.a, weights.sum(axis=0), rests.sum())
     seen, tip, std = places[0]
     at, beyond_at = np.searchsorted(profile.a[:-1], [tip, tip + REACH / 2])
+    around = uniform_filter1d(profile.background, round(_TREND / step))
     turned = echogenic = 0.0
     if profile.incidence is not None:
         law = _MIRRORED * np.exp(-profile.incidence[[at, beyond_at]] / _MIRROR_ANGLE)
         turned = float(law[1] - law[0])
-        facing = float(tops[at] + _MIRRORED - law[0])
-        echogenic = float(ndtr((facing - _BRIGHTEST[0]) / _BRIGHTEST[1]))
-    # Any part of a bevel may be hidden if the end is rough, and is if that was echogenic.
+        # No mirror is brighter than white. What would be, if it faced the sound, is echogenic.
+        facing = float(around[at] + tops[at] + _MIRRORED - law[0])
+        echogenic = float(ndtr((facing - profile.white) / _NOTHING))
+    # The bevel is smooth. So any part of it may be hidden, and is if the shaft is echogenic.
     rough = 1 - _mirror_share(tops[at])
     bevel = rough * echogenic * parameters.bevel_length / 2
     # Outside the tissue nothing scatters, so a needle that enters it in view comes from nowhere.
-    around = uniform_filter1d(profile.background, round(_TREND / step))
     empty = around < np.median(around[first : last + 1]) - _EMPTY
     unseen = np.flatnonzero(~profile.seen[:first] | empty[:first])
     after = np.searchsorted(profile.a, max(profile.a[last], tip) + parameters.smoothing)

@@ -49,8 +49,8 @@ def test_a_rough_end_may_be_that_of_shaft_or_bevel():
     ("level", "incidence_deg", "hidden"), [(16.0, 35.0, 0.5), (16.0, 5.0, 0.0), (4.0, 35.0, 0.0)]
 )
 def test_the_bevel_of_a_needle_too_bright_to_be_smooth_is_hidden(level, incidence_deg, hidden):
-    seen = profile(0.03, level)
-    seen = replace(seen, incidence=np.full(len(seen.a), np.deg2rad(incidence_deg)))
+    seen, incidence = profile(0.03, level), np.deg2rad(incidence_deg)
+    seen = replace(seen, incidence=np.full(len(seen.a), incidence), white=60.0)
     extent, length = find_extent(seen, PARAMETERS), PARAMETERS.bevel_length
     assert extent.bevel == pytest.approx(hidden * length, abs=0.1 * length)
     # What is hidden is known to a uniform distribution, about its mean or about the end.
