@@ -242,9 +242,10 @@ def find_extent(profile: AxisProfile, parameters: TipParameters) -> NeedleExtent
         # No mirror is brighter than white. What would be, if it faced the sound, is echogenic.
         facing = float(around[at] + tops[at] + _MIRRORED - law[0])
         echogenic = float(ndtr((facing - profile.white) / _NOTHING))
-    # The bevel is smooth. So any part of it may be hidden, and is if the shaft is echogenic.
+    # Any part of a bevel that does not mirror sound may be hidden. Many an echogenic needle has a
+    # smooth bevel, which is; another is echogenic to its very point.
     rough = 1 - _mirror_share(tops[at])
-    bevel = rough * echogenic * parameters.bevel_length / 2
+    bevel = rough * echogenic * parameters.bevel_length / 4
     # Outside the tissue nothing scatters, so a needle that enters it in view comes from nowhere.
     empty = around < np.median(around[first : last + 1]) - _EMPTY
     unseen = np.flatnonzero(~profile.seen[:first] | empty[:first])

@@ -34,7 +34,9 @@ KEPT_VOLUME = 60e-9
 """Total volume of the voxels that thresholding keeps, in m^3; not published."""
 
 _RANSAC = RansacParameters(residual_threshold=1e-3, min_separation=1e-3)
-_TIP = TipParameters(tube_radius=0.5e-3, background_radius=3e-3, smoothing=0.75e-3)
+_TIP = TipParameters(
+    tube_radius=0.5e-3, background_radius=3e-3, smoothing=0.75e-3, bevel_length=0.0
+)
 
 VELOCIMETER = SpeckleVelocimeterParameters(
     kernel=[7, 21, 51],
