@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from sonoservo.systems.evaluation.labels import look_up
@@ -70,11 +70,16 @@ def recording_verdict(summary: Mapping[str, Any], rows: Sequence[Mapping[str, An
     With the truth beside the recording, it is that on a run in which nothing followed the tracker.
     """
     if summary.get("truth"):
-        return following_verdict({**summary, "interrupted": False}, follows=False)
-    headline = found_words(rows, summary["frame"])
-    if not summary["modes"].get("tracking", 0):
-        return Verdict(headline, " ".join(reasons_lines(summary)), "bad")
-    return Verdict(headline, _found(summary))
+        verdict = following_verdict({**summary, "interrupted": False}, follows=False)
+    elif summary["modes"].get("tracking", 0):
+        verdict = Verdict(found_words(rows, summary["frame"]), _found(summary))
+    else:
+        reasons = " ".join(reasons_lines(summary))
+        verdict = Verdict(found_words(rows, summary["frame"]), reasons, "bad")
+    if not summary.get("interrupted"):
+        return verdict
+    text = f"It was interrupted after {counted(len(rows), 'volume')}. {verdict.text}"
+    return replace(verdict, text=text)
 
 
 def found_words(rows: Sequence[Mapping[str, Any]], frame: str) -> str:

@@ -75,6 +75,8 @@ def test_recordings_without_truth_have_a_verdict_too():
         "A needle was found at 2.00 s and tracked in 2 of 3 volumes; its tip was last at "
         "(1.0, -2.0, 3.0) mm in LPS."
     )
+    told |= {"frame": "LPS", "modes": {"searching": 3}, "interrupted": True}
+    assert "It was interrupted after 3 volumes." in str(recording_verdict(told, rows))
 
 
 def test_telling_volumes_are_detection_loss_worst_and_rest(insertion_log):
