@@ -86,6 +86,8 @@ def open_meta_image(path: Path, *, frames: bool = False) -> VolumeFile:
 def _describe(
     path: Path, fields: dict[str, str], names: list[str], offset: int, frames: bool
 ) -> VolumeFile:
+    given = set().union(*(each for each in _ALTERNATIVES if not each.isdisjoint(fields)))
+    refuse_misspelt(path, fields, FIELDS, given)
     sizes = [int(n) for n in _numbers(path, fields, ("DimSize",))]
     n = len(sizes)
     if n not in (3, 4):
@@ -134,8 +136,6 @@ def _describe(
     def rescaled(number: int) -> NDArray[Any]:
         return read(number) * slope + shift
 
-    given = set().union(*(each for each in _ALTERNATIVES if not each.isdisjoint(fields)))
-    refuse_misspelt(path, fields, FIELDS, given)
     fields = numbered_fields(fields, FIELDS, count)
     notes = [*data.notes(), *unknown_fields("MetaImage", fields, FIELDS)]
     if not frames:

@@ -76,7 +76,7 @@ def track_command(
         if tracker != Tracker(tracker=own):
             raise ConfigurationError(
                 f"--tracker {own}: a tracker of your own is made without arguments; leave out the "
-                "other options of trackers"
+                "other options of trackers, such as --start"
             )
         chosen = {"tracker": own}
     else:

@@ -20,6 +20,8 @@ from sonoservo.systems.files.refusals import ConfigurationError
 
 _REPLAY = "replay.html"
 
+_LONGEST = 3.0  # time in s for which a program waits at its end for its page
+
 
 @dataclass(frozen=True, kw_only=True)
 class Pages:
@@ -38,7 +40,7 @@ class Pages:
         """Say in the page that the run has ended, link its report, and serve the files beside it.
 
         If a person sits at the terminal, wait until they press Enter, so that the page stays
-        usable.
+        usable. If not, wait until it shows the end.
         """
         if report is not None:
             _serve_results(self.site, self.console, report)
@@ -49,6 +51,10 @@ class Pages:
             terminal.print("The page stays open: press Enter to end.")
             with suppress(EOFError, KeyboardInterrupt):
                 input()
+        elif not is_interrupted():
+            if report is not None:
+                self.console.say(ended=f"{said} Report: {report}")
+            self.console.wait_until_shown(_LONGEST)
 
 
 def open_pages(

@@ -136,7 +136,8 @@ function describe() {
 function gone() {
   connected = false;
   $("gone").hidden = false;
-  $("state").style.opacity = 0.5;
+  $("mark").style.opacity = $("word").style.opacity = 0.5;
+  $("report").hidden = true; // nothing serves it any more
   const again = setInterval(() => fetch(location.href).then((answer) => {
     if (answer.ok) { clearInterval(again); location.reload(); }
   }, () => {}), 3000);

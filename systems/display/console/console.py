@@ -143,6 +143,12 @@ class Console:
             self._facts = self._facts | facts
             self._wake()
 
+    def wait_until_shown(self, longest: float) -> None:
+        """Wait until all open pages show what was said, but no longer than a time in s."""
+        end = clock.monotonic() + longest
+        while not all(each.shows_all for each in tuple(self._views)) and clock.monotonic() < end:
+            clock.sleep(0.02)
+
     def close(self) -> None:
         """Close the console's own site; the pages keep the last picture and say so."""
         if self._owns_site:
@@ -226,6 +232,13 @@ class _View:
         page.on_change("drawn", self.wake)
         document.on_session_destroyed(lambda context: console.controls.deflect(self, None))
         self._push()
+
+    @property
+    def shows_all(self) -> bool:
+        """Whether the page has drawn everything that the console says."""
+        said = self._console.facts.items()
+        sent = all(self._state_sent.get(name) == value for name, value in said)
+        return sent and (self._page.heard("drawn") or 0) >= self._sent
 
     def wake(self) -> None:
         """Update the page soon, if it has drawn what it was sent."""
