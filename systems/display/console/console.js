@@ -138,6 +138,8 @@ function gone() {
   $("gone").hidden = false;
   $("mark").style.opacity = $("word").style.opacity = 0.5;
   $("report").hidden = true; // nothing serves it any more
+  // The world says so, too, over its own buttons.
+  $("world").firstElementChild.contentDocument?.getElementById("status-message")?.remove();
   const again = setInterval(() => fetch(location.href).then((answer) => {
     if (answer.ok) { clearInterval(again); location.reload(); }
   }, () => {}), 3000);
