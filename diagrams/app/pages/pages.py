@@ -46,14 +46,15 @@ class Pages:
             _serve_results(self.site, self.console, report)
         self.console.controls.offer([])
         self.console.controls.offer_buttons()
+        stays = terminal.is_interactive and sys.stdin.isatty() and not is_interrupted()
+        if report is not None and report.is_file() and not stays:
+            said += f" Report: {report}"  # the link will soon lead nowhere
         self.console.say(ended=said, paused=False, pace="")
-        if terminal.is_interactive and sys.stdin.isatty() and not is_interrupted():
+        if stays:
             terminal.print("The page stays open: press Enter to end.")
             with suppress(EOFError, KeyboardInterrupt):
                 input()
         elif not is_interrupted():
-            if report is not None:
-                self.console.say(ended=f"{said} Report: {report}")
             self.console.wait_until_shown(_LONGEST)
 
 
