@@ -40,6 +40,9 @@ _BEGIN, _END = 0.02, 0.04
 _ENTERING = 0.7
 """Probability that a needle is first seen at the outer end of the part of its line in view."""
 
+_SURE = 0.95
+"""Probability that the end of a needle lies before what is called beyond it."""
+
 _LARGEST = 20.0
 """Largest logarithm of a bin's ratio; more would change nothing."""
 
@@ -144,8 +147,10 @@ def _stretches(factors: Any) -> Any:  # pragma: no cover - compiled
 @njit(cache=True, nogil=True, error_model="numpy")
 def _advancing(  # pragma: no cover - compiled
     factors: Any, before: Any, beyond: Any, first: Any, moves: Any, start: Any, change: Any
-) -> float:
-    """Return the log of the summed probability of all ends that advance along a line.
+) -> Any:
+    """Return the log of the summed probability of all ends that advance along a line, and the end.
+
+    The end is the number of bins that lie before it: of more, it is not `_SURE`.
 
     ``factors`` are (t, b) likelihood ratios by time of arrival, ``before``, ``beyond`` and
     ``first`` (b + 1,) by place of the end, and ``moves`` (t, m, d) probabilities of d bins at speed
@@ -180,7 +185,7 @@ def _advancing(  # pragma: no cover - compiled
                         come[a] += gone[a] * move * passed[a]
         total = tip.sum()
         if total <= 0:
-            return -1e3
+            return -1e3, bins
         tip /= total
         result += math.log(total)
     best = -np.inf
@@ -193,7 +198,8 @@ def _advancing(  # pragma: no cover - compiled
         here = tip[:, a].sum()
         if here > 0:
             total += math.exp(math.log(here) + beyond[a] - best)
-    return result + best + math.log(total)
+        passed[a] = total
+    return result + best + math.log(total), np.searchsorted(passed, _SURE * total)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -202,7 +208,7 @@ def _class_logs(  # pragma: no cover - compiled
 ) -> Any:
     """Return what `class_logs` does; ``hand`` and ``probe`` as `_hand` gives them."""
     count, times, bins = logs.shape
-    result = np.full((count, 5), -1e3)
+    result, ends = np.full((count, 5), -1e3), np.full((count, 2), bins)
     factors, turned = np.zeros((times, bins)), np.zeros((times, bins))
     first, anywhere = np.zeros(bins + 1), np.full(bins + 1, 1 / (bins + 1))
     shift, rests = np.zeros((times, len(GLINTS), _MOST)), _passed(0.0)
@@ -241,24 +247,26 @@ def _class_logs(  # pragma: no cover - compiled
             first[:] = (1 - _ENTERING) / (bins + 1)
             first[seen] += _ENTERING
             sides = (before, back[::-1]) if way == 0 else (back, before[::-1])
-            result[n, way] = _advancing(one, *sides, first, moves, *hand)
+            result[n, way], ends[n, way] = _advancing(one, *sides, first, moves, *hand)
             shift[:] = rests
             for t in range(times):
                 slid = passing[n, t] if way == 0 else -passing[n, t]
                 if slid > 0:
                     for m in range(len(GLINTS)):
                         shift[t, m] = _passed(GLINTS[m] * slid)
-            uncovered = _advancing(one, *sides, anywhere, shift, *probe) - math.log(2)
+            uncovered = _advancing(one, *sides, anywhere, shift, *probe)[0] - math.log(2)
             a, c = max(result[n, 2], uncovered), min(result[n, 2], uncovered)
             result[n, 2] = a + math.log1p(math.exp(c - a))
         result[n, 2] -= math.log(2)
-    return result
+    return result, ends
 
 
 def class_logs(
     logs: Floats, riding: Floats, appearing: Floats, moves: Floats, passing: Floats
-) -> Floats:
+) -> tuple[Floats, NDArray[np.int64]]:
     """Return (n, 5) log evidence of each line: needle from either end, resting, riding, appeared.
+
+    The second array, (n, 2), counts the bins that a needle from either end has passed by now.
 
     ``logs`` are as of `add_volume`, ``moves`` (t, m, d) are `advances` before each arrival, and
     ``passing`` (n, t) is the motion of the image along the line in bins.
@@ -270,4 +278,6 @@ def class_logs(
     def of(part: slice) -> Any:
         return _class_logs(logs[part], riding[part], appearing, moves, hand, probe, passing[part])
 
-    return np.concatenate([np.zeros((0, 5)), *by_parts(of, len(logs))])
+    parts = [(np.zeros((0, 5)), np.zeros((0, 2), np.int64)), *by_parts(of, len(logs))]
+    evidence, ends = zip(*parts, strict=True)
+    return np.concatenate(evidence), np.concatenate(ends)

@@ -159,6 +159,8 @@ class Lines:
     """(n,) numbers by which the lines are known."""
     classes: Floats
     """(n, 6) log probabilities: needle from either end, resting, riding, appeared, nothing."""
+    passed: NDArray[np.int64]
+    """(n, 2) numbers of bins that a needle from either end has passed."""
     prior: Floats
     """(n, 5) log priors of the classes but "appeared", before anything in ``logs``."""
     past: Floats
@@ -195,7 +197,7 @@ def _new_lines(ends: Floats, ends_P: Floats, numbers: Floats, times: int) -> Lin
         np.zeros((n, times, BINS)), np.zeros((n, 1, BINS)),
         image_levels, levels, contrasts,
         np.zeros(n), np.zeros(n), np.zeros(n), numbers, np.zeros((n, 1 + len(LINE_CLASSES))),
-        np.zeros((n, 5)), np.zeros((n, _REMEMBERED + 1, 5)),
+        np.full((n, 2), BINS), np.zeros((n, 5)), np.zeros((n, _REMEMBERED + 1, 5)),
     )  # fmt: skip
 
 
@@ -267,7 +269,7 @@ def follow(belief: LineBelief, volume: Volume, *, look: bool = False) -> LineBel
     if len(lines):
         times = np.array([each.volume.time for each in memory])
         moves = np.array([advances(seconds) for seconds in np.diff(times, prepend=times[0])])
-        logs = class_logs(
+        logs, passed = class_logs(
             lines.logs,
             lines.image_logs[:, 0],
             np.array(appearing),
@@ -284,7 +286,7 @@ def follow(belief: LineBelief, volume: Volume, *, look: bool = False) -> LineBel
         still = np.logaddexp.reduce(classes[:, 2:5], axis=1)[:, np.newaxis]
         now[:, 2:4] = still + np.log(_OTHERS[:2] / _OTHERS[:2].sum())
         past = np.concatenate([lines.past[:, :-1], now[:, np.newaxis]], axis=1)
-        lines = replace(lines, classes=classes, past=past)
+        lines = replace(lines, classes=classes, passed=passed, past=past)
         lines = _judged(lines, memory[-1], fits, look)
     return LineBelief(memory, lines, appearing, born, births, volume.time)
 
@@ -534,9 +536,24 @@ def explain_lines(belief: LineBelief, count: int = 6) -> LinesExplanation | NotF
     return LinesExplanation(best, times, a[::sense], np.nan_to_num(shown), np.isfinite(shown))
 
 
+def _stands_out(lines: Lines) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return (n,) first and last bins of the stretches that stand out in the newest volume.
+
+    Of a line that moves like a needle, what lies beyond the needle's end is something else.
+    """
+    either = lines.classes[:, :2]
+    way = np.argmax(either, axis=1)
+    passed = np.take_along_axis(lines.passed, way[:, np.newaxis], axis=1)
+    bins = np.arange(BINS)
+    beyond = np.where(way[:, np.newaxis] == 0, bins, BINS - 1 - bins) >= passed
+    beyond &= (np.logaddexp(*either.T) > _NEUTRAL)[:, np.newaxis]
+    firsts, lasts, _ = stretches(np.where(beyond, np.float32(np.nan), lines.contrasts))
+    return firsts, lasts
+
+
 def _stretches_seen(lines: Lines) -> Floats:
     """Return (n, 2) abscissae in m between which the lines stand out in the newest volume."""
-    firsts, lasts, _ = stretches(lines.contrasts)
+    firsts, lasts = _stands_out(lines)
     return np.stack(
         [MIDDLES[firsts] - BIN / 2, MIDDLES[np.maximum(lasts, firsts)] + BIN / 2], axis=1
     )
@@ -553,7 +570,7 @@ def _backwards(lines: Lines) -> NDArray[np.bool_]:
 
     A needle advances from there; one at rest is seen as far as the side of the field of view.
     """
-    firsts, lasts, _ = stretches(lines.contrasts)
+    firsts, lasts = _stands_out(lines)
     bins = np.arange(BINS)
     before, beyond = (
         np.sum(~np.isnan(lines.contrasts) & outside, axis=1)

@@ -27,10 +27,10 @@ def bernoulli_chain(factors):
 
 
 def advancing(factors, moves, seen=None):
-    """Log of the sum over all paths of a tip, mode and place at each time, by their prior.
+    """Log of the sum over all paths of a tip, mode and place at each time, and where it surely is.
 
-    ``moves`` are by time, mode and bins passed. Without the first bin that is seen, it begins
-    anywhere.
+    They are weighed by their prior. ``moves`` are by time, mode and bins passed. Without the first
+    bin that is seen, the tip begins anywhere.
     """
     times, bins = factors.shape
     modes = moves.shape[1]
@@ -49,7 +49,7 @@ def advancing(factors, moves, seen=None):
             return leaves / (modes - 1)
         return 0.6 * leaves if n == 0 else 0.4 * leaves / max(modes - 2, 1)
 
-    logs = []
+    logs, ends = [], []
     for places in product(range(bins + 1), repeat=times):
         steps = np.diff(places)
         if (steps < 0).any() or (steps >= moves.shape[2]).any():
@@ -64,7 +64,10 @@ def advancing(factors, moves, seen=None):
             if p == 0:
                 continue
             logs.append(np.log(p) + came + before(places[0]) + beyond(places[-1]))
-    return logsumexp(logs)
+            ends.append(places[-1])
+    total = logsumexp(logs)
+    shares = np.bincount(ends, np.exp(logs - total))
+    return total, int(np.flatnonzero(np.cumsum(shares) >= arrival._SURE)[0])
 
 
 def slides(passing):
@@ -83,19 +86,20 @@ def test_classes_are_the_sums_over_all_histories():
     logs, riding = rng.normal(0.5, 2.0, (2, times, bins)), rng.normal(0.0, 2.0, (2, bins))
     logs[1, 0, 0] = 0.0  # not seen
     passing = np.array([[0.0, 1.0, -0.7], [0.0, 0.0, 0.0]])
-    found = class_logs(logs, riding, appearing, moves, passing)
+    found, passed = class_logs(logs, riding, appearing, moves, passing)
     for n in range(2):
         factors = np.exp(arrival._SHARE * logs[n])
         seen = [int(np.flatnonzero(each != 1)[0]) for each in (factors[0], factors[0, ::-1])]
         at_once = [bernoulli_chain(factors[t]) + appearing[t] for t in range(1, times)]
+        one, other = (advancing(factors[:, ::d], moves, seen[d < 0]) for d in (1, -1))
         expected = [
-            advancing(factors, moves, seen[0]),
-            advancing(factors[:, ::-1], moves, seen[1]),
+            one[0],
+            other[0],
             logsumexp(
                 [
                     bernoulli_chain(factors[0]),
-                    advancing(factors, slides(passing[n])) - np.log(2),
-                    advancing(factors[:, ::-1], slides(-passing[n])) - np.log(2),
+                    advancing(factors, slides(passing[n]))[0] - np.log(2),
+                    advancing(factors[:, ::-1], slides(-passing[n]))[0] - np.log(2),
                 ]
             )
             - np.log(2),
@@ -103,6 +107,7 @@ def test_classes_are_the_sums_over_all_histories():
             logsumexp(at_once),
         ]
         np.testing.assert_allclose(found[n], expected, rtol=1e-9, atol=1e-9)
+        np.testing.assert_array_equal(passed[n], [one[1], other[1]])
 
 
 def test_a_bin_repeats_itself_or_is_drawn_anew():
@@ -195,7 +200,7 @@ def test_a_kymograph_shows_what_a_line_is(kind):
     appearing[0] = -50.0
     passing = np.full((1, times), 2.0 if kind == "uncovered" else 0.0)
     moves = np.array([advances(0.3)] * times)
-    classes = class_logs(logs[:, :times], image_logs[:, 0], appearing, moves, passing)[0]
+    classes = class_logs(logs[:, :times], image_logs[:, 0], appearing, moves, passing)[0][0]
     classes = np.append(classes, 0.0)
     assert KINDS[int(classes.argmax())] == kind.replace("uncovered", "resting")
     assert classes.max() > np.sort(classes)[-2] + 0.5

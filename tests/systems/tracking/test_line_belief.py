@@ -28,10 +28,11 @@ def pushed(time):
 
 
 @lru_cache
-def volumes(needle, moving, slower=1):
+def volumes(needle, moving, slower=1, ahead=0.0):
     """Speckle and a wire that rest in W, and a needle; the probe rests, or moves against X.
 
-    The needle may be pushed slower by a factor, in as many more volumes.
+    The needle may be pushed slower by a factor, in as many more volumes, and something of an
+    amplitude may rest ahead of it on its own line.
     """
     rng = np.random.default_rng(5)
     sigma = np.array([1.9e-3, 0.45e-3, 2.3e-3]) / 2.355 / SPACING
@@ -40,6 +41,7 @@ def volumes(needle, moving, slower=1):
     p_W = SPACING * np.moveaxis(np.indices(shape), 0, -1)
     tissue = (parts[0] + 1j * parts[1]) / np.hypot(parts[0].std(), parts[1].std())
     tissue = tissue + line(p_W, *WIRE, lambda s: 8.0)
+    tissue = tissue + line(p_W, START + 0.076 * K, START + 0.09 * K, lambda s: ahead)
     images = []
     for n in range(COUNT * slower):
         amplitude = tissue + 0.02 * rng.normal(size=shape)
@@ -94,6 +96,19 @@ def test_a_needle_that_is_pushed_slowly_is_found():
     best = int(lines.probabilities.argmax())
     assert lines.probabilities[best] > 0.95
     assert along(lines, *pushed(lines.time / slower))[best]
+
+
+@pytest.mark.parametrize("moving", [False, True])
+def test_a_structure_ahead_on_the_same_line_is_no_part_of_the_needle(moving):
+    belief, surest = LineBelief(), []
+    for volume in volumes(True, moving, ahead=20.0):
+        belief = follow(belief, volume)
+        lines = belief.hypotheses
+        best = int(lines.probabilities.argmax())
+        if lines.probabilities[best] > 0.9:
+            surest.append(np.linalg.norm(lines.ends[best, 1] - pushed(lines.time)[1]))
+    assert len(surest) > 4
+    assert max(surest) < 6e-3
 
 
 def test_older_volumes_are_remembered_more_sparsely_while_the_tissue_is_the_same():
