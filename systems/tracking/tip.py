@@ -235,17 +235,20 @@ def find_extent(profile: AxisProfile, parameters: TipParameters) -> NeedleExtent
     seen, tip, std = places[0]
     at, beyond_at = np.searchsorted(profile.a[:-1], [tip, tip + REACH / 2])
     around = uniform_filter1d(profile.background, round(_TREND / step))
-    turned = echogenic = 0.0
+    law, echogenic = np.zeros(len(contrast)), 0.0
     if profile.incidence is not None:
-        law = _MIRRORED * np.exp(-profile.incidence[[at, beyond_at]] / _MIRROR_ANGLE)
-        turned = float(law[1] - law[0])
+        law = _MIRRORED * np.exp(-profile.incidence / _MIRROR_ANGLE)
         # No mirror is brighter than white. What would be, if it faced the sound, is echogenic.
-        facing = float(around[at] + tops[at] + _MIRRORED - law[0])
+        facing = float(around[at] + tops[at] + _MIRRORED - law[at])
         echogenic = float(ndtr((facing - profile.white) / _NOTHING))
-    # Any part of a bevel that does not mirror sound may be hidden. Many an echogenic needle has a
-    # smooth bevel, which is; another is echogenic to its very point.
-    rough = 1 - _mirror_share(tops[at])
-    bevel = rough * echogenic * parameters.bevel_length / 4
+    turned = float(law[beyond_at] - law[at])
+    # Any part of a bevel may be hidden, but where the shaft mirrors sound: there the bevel, which
+    # does not, is as bright as the needle is elsewhere. Many an echogenic needle has a smooth
+    # bevel, which is hidden; another is echogenic to its very point.
+    mirror = _mirror_share(tops[at])
+    rough = 1 - mirror
+    dull = mirror * _unseen(float((contrast - law)[first:at].mean()), 0.0, parameters.contrast)
+    bevel = (rough * echogenic / 2 + dull) * parameters.bevel_length / 2
     # Outside the tissue nothing scatters, so a needle that enters it in view comes from nowhere.
     empty = around < np.median(around[first : last + 1]) - _EMPTY
     unseen = np.flatnonzero(~profile.seen[:first] | empty[:first])
@@ -256,7 +259,7 @@ def find_extent(profile: AxisProfile, parameters: TipParameters) -> NeedleExtent
         tip=float(tip),
         tip_std=float(std),
         bevel=bevel,
-        bevel_std=math.sqrt(rough * parameters.bevel_length**2 / 3 - bevel**2),
+        bevel_std=math.sqrt((rough + dull) * parameters.bevel_length**2 / 3 - bevel**2),
         unseen=_unseen(float(tops[at]), turned, parameters.contrast),
         seen=float(seen),
         elsewhere=places[1:] - [0.0, tip, 0.0],
