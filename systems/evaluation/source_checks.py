@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum, IntEnum
-from itertools import pairwise
+from itertools import pairwise, takewhile
 from typing import Any
 
 import numpy as np
@@ -449,21 +449,32 @@ def check_volume(volume: Volume) -> list[Finding]:
 
 
 def check_seen(shares: Mapping[int, float]) -> list[Finding]:
-    """Check the parts of the box that volumes show, by their numbers: none shows much less."""
+    """Check the parts of the box that volumes show, by their numbers: none shows much less.
+
+    The first ones may: the probe has no contact yet.
+    """
     usual = float(np.median([*shares.values()]))
     odd = [number for number, share in shares.items() if share < _HOLES * usual]
-    if not odd:
-        return []
-    number = odd[0]
-    return [
-        _Fault.HOLES(
-            count=len(odd),
+    before = [*takewhile(odd.__contains__, shares)]
+    found = list[Finding]()
+    if before:
+        text = (
+            f"the first volumes, {len(before)} of {len(shares)} that were read, show little, as a "
+            f"probe without contact does: {100 * shares[before[0]]:.0f} % of the box instead of "
+            f"{100 * usual:.0f} %"
+        )
+        found.append(_fine(Check.CONTENT, text))
+    if later := odd[len(before) :]:
+        number = later[0]
+        fault = _Fault.HOLES(
+            count=len(later),
             read=len(shares),
             number=number,
             share=100 * shares[number],
             usual=100 * usual,
         )
-    ]
+        found.append(fault)
+    return found
 
 
 def _check_slices(volume: Volume) -> list[Finding]:
