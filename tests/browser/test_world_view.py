@@ -1,5 +1,7 @@
 """The world view in a browser: live, opened late, layer by layer, and as a replay."""
 
+from time import monotonic
+
 import numpy as np
 import pytest
 from page_clients.browser_view import eventually, project, screenshot, wait_for_object
@@ -168,4 +170,26 @@ def test_the_console_winds_the_world_of_a_kept_run(replay, open_page):
                 arg=time,
             )
         assert not page.evaluate(f"{animator}.playing")
+        page.close()
+
+
+def test_a_run_has_not_ended_for_its_page_before_the_world_shows_the_end(open_page):
+    with Site() as site:
+        meshcat = open_meshcat(site)
+        console = Console(site, world="world")
+        meshcat.StartRecording()
+        for time in (0.0, 2.0):
+            meshcat.SetTransform("needle", RigidTransform([0, 0, time]), time)
+        page = open_page(console.web_url)
+        console.say(ended="2.0 s simulated")
+        page.wait_for_function("document.getElementById('word').textContent == 'ended'")
+        start = monotonic()
+        console.wait_until_shown(0.5)
+        assert monotonic() - start >= 0.5
+        meshcat.StopRecording()
+        meshcat.PublishRecording()
+        console.wait_until_shown(60.0)
+        assert monotonic() - start < 60.0
+        world = "document.querySelector('#world iframe').contentWindow.viewer"
+        assert page.evaluate(f"{world}.scene_tree.find(['drake', 'needle']).object.position.z") == 2
         page.close()
