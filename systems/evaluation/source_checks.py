@@ -566,21 +566,29 @@ def check_errors(errors: PoseErrors | NotFound) -> list[Finding]:
     """Check delay and calibration of the poses, as tissue that stands still tells them."""
     errors = told_errors(errors)
     if isinstance(errors, NotFound):
-        return [_fine(Check.DELAY, f"delay and calibration unknown: {errors.reason}")]
+        text = f"whether poses are late or the calibration is off is unknown: {errors.reason}"
+        return [_fine(Check.DELAY, text)]
     told, half = errors.told, 2 * errors.std
     moved, moved_half, turned, turned_half = (
         float(np.linalg.norm(each[part][told[part]]))
         for part in (slice(1, 4), slice(4, 7))
         for each in (np.array([0, *errors.translation, *errors.rotation]), half)
     )
-    text = ", ".join(
-        [
-            _late(errors.delay, half[0]) if told[0] else "how late poses are cannot be told",
-            *([f"the image is displaced by {1e3 * moved:.1f} mm"] if told[1:4].any() else []),
-            *([f"the image is turned by {np.degrees(turned):.1f} deg"] if told[4:].any() else []),
-            *(["the rest cannot be told from these volumes"] if not told[1:].all() else []),
-        ]
-    )
+    off = [
+        *([f"displaced by {1e3 * moved:.1f} mm"] if told[1:4].any() else []),
+        *([f"turned by {np.degrees(turned):.1f} deg"] if told[4:].any() else []),
+    ]
+    known = [
+        *([_late(errors.delay, half[0])] if told[0] else []),
+        *([f"the image is {' and '.join(off)} against its calibration"] if off else []),
+    ]
+    unknown = [
+        *([] if told[0] else ["whether poses are late"]),
+        *([] if told[1:].all() else [f"how{' else' if off else ''} the image is off"]),
+    ]
+    text = ", ".join(known)
+    if unknown:
+        text += f"; to learn {' and '.join(unknown)}, move and turn the probe more"
     late = told[0] and abs(errors.delay) > max(half[0], _LATE)
     displaced = moved > _DISPLACED + moved_half
     rotated = np.degrees(turned - turned_half) > _TURNED_DEG
@@ -627,7 +635,7 @@ def check_across(sweeps: Sequence[Sequence[PosedFrame]]) -> list[Finding]:
 def check_delay(found: tuple[float, float] | NotFound) -> list[Finding]:
     """Check the delay of poses, and its standard deviation, in s (`sweep_delay`)."""
     if isinstance(found, NotFound):
-        return [_fine(Check.DELAY, f"delay unknown: {found.reason}")]
+        return [_fine(Check.DELAY, f"whether poses are late is unknown: {found.reason}")]
     delay, half = found[0], 2 * found[1]
     text = f"{_late(delay, half)}, by sweeps to and fro"
     right = abs(delay) <= max(half, _LATE)
