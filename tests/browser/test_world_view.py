@@ -66,8 +66,8 @@ def patch(picture, point, size=3):
     return picture[row - size : row + size + 1, column - size : column + size + 1].astype(int)
 
 
-def is_green(colours):
-    return colours[..., 1] - np.maximum(colours[..., 0], colours[..., 2]) > 35
+def is_orange(colours):
+    return colours[..., 1] - colours[..., 2] > 60
 
 
 def is_violet(colours):
@@ -84,7 +84,7 @@ def test_a_page_opened_late_shows_everything_and_each_layer_can_be_switched_off(
         picture = screenshot(page)
         # What is stated of the tip covers the last quarter.
         for point in project(page, np.linspace(curve.entry, curve.tip, 9)[1:-2]):
-            assert is_green(patch(picture, point)).any()
+            assert is_orange(patch(picture, point)).any()
         assert is_violet(patch(picture, project(page, curve.tip))).any()
         hub = "viewer.scene_tree.find(['needle', 'hub', '0']).object.position.toArray()"
         pink = patch(picture, project(page, page.evaluate(hub)))

@@ -24,7 +24,7 @@ Floats = NDArray[np.float64]
 
 _POINTS = 41
 # Marks of the world, by the class of their colour in the page, and their words.
-_LEGEND = ("steel needle", "tracking predicted", "force 95 % of it", "cross-section found here")
+_LEGEND = ("truth needle", "tracking predicted", "band 95 % of it", "cross-section found here")
 PATHS = ("depth", "x", "x_low", "x_high", "y", "y_low", "y_high")
 """Columns of the predicted path: depth, and the mean and 95 % of the deflection along X and Y."""
 
