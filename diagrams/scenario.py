@@ -1,11 +1,12 @@
 """Base class of the scenarios of all experiments."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, TypeVar
 
 import numpy as np
 
+from sonoservo.systems.files.model_file import lasting_name
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.typed_yaml import dump_typed
 from sonoservo.systems.signals.requirements import check_bounds, require
@@ -67,8 +68,13 @@ class Scenario:
         raise ConfigurationError(f"the experiment {cls.experiment!r} is of no paper")
 
     def to_yaml(self) -> str:
-        """Return all fields as YAML that `load_scenario` reads."""
-        return dump_typed(self)
+        """Return all fields as YAML that `load_scenario` reads, from whichever folder."""
+        data = {each.name: getattr(self, each.name) for each in fields(self)}
+        for part in data.keys() & {"phantom", "probe", "needle"}:
+            data[part] = lasting_name(data[part])
+        if station := data.get("station"):
+            data["station"] = replace(station, arm=lasting_name(station.arm))
+        return dump_typed(data)
 
 
 ScenarioT = TypeVar("ScenarioT", bound=Scenario)

@@ -21,8 +21,8 @@ from pydrake.systems.sensors import CameraInfo
 from sonoservo.diagrams import load_scenario, make_experiment
 from sonoservo.systems.display.shapes import sector_edges
 from sonoservo.systems.evaluation.reports.key_frames import true_needle
-from sonoservo.systems.evaluation.reports.plots import ESTIMATE, TRUTH
 from sonoservo.systems.evaluation.run_errors import at_times, features
+from sonoservo.systems.signals.needle_colours import ESTIMATE, TRUTH
 
 PATH = Path(__file__).with_name("needle.webp")
 WORLD, SLICE = (560, 500), (330, 246)

@@ -354,11 +354,7 @@ def run_arguments(arguments: Sequence[str]) -> int:
 
 def _with_own_options(line: str, called: str) -> str:
     """Return a message in which an option that the called command lacks names one that has it."""
-    commands = get_command(app).commands  # type: ignore[attr-defined]
-    options = {
-        name: {option for each in command.params for option in each.opts}
-        for name, command in commands.items()
-    }
+    options = _options()
     own = options.get(called.removesuffix("_command"))
     if own is None:
         return line
@@ -369,6 +365,15 @@ def _with_own_options(line: str, called: str) -> str:
         return f"`sonoservo {others[0]} {match[0]}`" if foreign else match[0]
 
     return re.sub(r"(?<![\w`-])--[a-z][a-z-]+", named, line)
+
+
+def _options() -> dict[str, set[str]]:
+    """Return the options of all commands."""
+    commands = get_command(app).commands  # type: ignore[attr-defined]
+    return {
+        name: {option for each in command.params for option in (*each.opts, *each.secondary_opts)}
+        for name, command in commands.items()
+    }
 
 
 def _usage_line(error: Any) -> str:
@@ -382,8 +387,12 @@ def _usage_line(error: Any) -> str:
     if context is None or context.parent is None:
         return f"{line} `sonoservo --help` lists the commands and their options."
     command = context.command
-    if hasattr(error, "option_name") and any("--set" in each.opts for each in command.params):
+    option = getattr(error, "option_name", None)
+    having = [f"`sonoservo {name}`" for name, options in _options().items() if option in options]
+    if option is not None and any("--set" in each.opts for each in command.params):
         line += " A scenario's fields are set by --set, such as --set duration=3."
+    elif having and f"`sonoservo {command.name}`" not in having:
+        line += f" It is an option of {', '.join(having)}."
     return f"{line} `sonoservo {command.name} --help` lists the options."
 
 

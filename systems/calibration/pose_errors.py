@@ -289,14 +289,14 @@ def told_errors(errors: PoseErrors | NotFound) -> PoseErrors | NotFound:
     x = np.array([errors.delay, *errors.translation, *errors.rotation]) / _PRIOR
     if x @ x > squared_distance(_PLAUSIBLE, len(x)):
         why = (
-            "the tissue seems to move as if they were far larger than can be expected; it must "
-            "stand still, and the probe press it evenly"
+            "the tissue seems to move as if the errors were far larger than can be expected; it "
+            "must stand still, and the probe press it evenly"
         )
     elif not errors.told.any():
         why = f"the probe was in only {errors.places} places; move and turn it more"
     else:
         return errors
-    return NotFound(f"they cannot be told from these volumes: {why}")
+    return NotFound(why)
 
 
 _VOLUMES, _PAIRS = 12, 60  # Largest numbers of earlier volumes and of pairs that are kept

@@ -1,27 +1,32 @@
 """Colours of the displays, as red, green and blue from 0 to 1.
 
 They follow Okabe and Ito's palette, which stays distinguishable under every kind of colour vision;
-a test checks this. The modes differ in lightness too.
+a test checks this. The modes differ in lightness too. What is tracked has the colour of estimates.
 """
 
 from collections.abc import Sequence
 
 from pydrake.geometry import Rgba
 
+from sonoservo.systems.signals import needle_colours
 from sonoservo.systems.signals.needle_estimate import TrackingMode
 
+TRUTH, ESTIMATE = (
+    tuple(each / 255 for each in needle_colours.red_green_blue(colour))
+    for colour in (needle_colours.TRUTH, needle_colours.ESTIMATE)
+)
 STEEL = (0.62, 0.65, 0.70)
 HUB = (0.78, 0.30, 0.55)
 SECTOR = (0.0, 0.35, 0.65)
 UNCERTAINTY = (0.70, 0.0, 1.0)
-FORCE = (0.95, 0.65, 0.0)
-CROSS_SECTION = (0.25, 0.60, 0.95)
+FORCE = (0.80, 0.95, 0.50)
+CROSS_SECTION = (0.92, 0.94, 0.96)
 STOPPED = (0.80, 0.35, 0.65)
 
 MODE_COLOURS = {
     TrackingMode.SEARCHING: (0.52, 0.54, 0.60),
-    TrackingMode.TRACKING: (0.05, 0.68, 0.47),
-    TrackingMode.COASTING: (1.00, 0.75, 0.10),
+    TrackingMode.TRACKING: ESTIMATE,
+    TrackingMode.COASTING: (1.00, 0.94, 0.63),
     TrackingMode.LOST: (0.86, 0.16, 0.12),
 }
 

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum, IntEnum
-from itertools import pairwise
+from itertools import pairwise, takewhile
 from typing import Any
 
 import numpy as np
@@ -449,21 +449,32 @@ def check_volume(volume: Volume) -> list[Finding]:
 
 
 def check_seen(shares: Mapping[int, float]) -> list[Finding]:
-    """Check the parts of the box that volumes show, by their numbers: none shows much less."""
+    """Check the parts of the box that volumes show, by their numbers: none shows much less.
+
+    The first ones may: the probe has no contact yet.
+    """
     usual = float(np.median([*shares.values()]))
     odd = [number for number, share in shares.items() if share < _HOLES * usual]
-    if not odd:
-        return []
-    number = odd[0]
-    return [
-        _Fault.HOLES(
-            count=len(odd),
+    before = [*takewhile(odd.__contains__, shares)]
+    found = list[Finding]()
+    if before:
+        text = (
+            f"the first volumes, {len(before)} of {len(shares)} that were read, show little, as a "
+            f"probe without contact does: {100 * shares[before[0]]:.0f} % of the box instead of "
+            f"{100 * usual:.0f} %"
+        )
+        found.append(_fine(Check.CONTENT, text))
+    if later := odd[len(before) :]:
+        number = later[0]
+        fault = _Fault.HOLES(
+            count=len(later),
             read=len(shares),
             number=number,
             share=100 * shares[number],
             usual=100 * usual,
         )
-    ]
+        found.append(fault)
+    return found
 
 
 def _check_slices(volume: Volume) -> list[Finding]:
@@ -555,21 +566,29 @@ def check_errors(errors: PoseErrors | NotFound) -> list[Finding]:
     """Check delay and calibration of the poses, as tissue that stands still tells them."""
     errors = told_errors(errors)
     if isinstance(errors, NotFound):
-        return [_fine(Check.DELAY, f"delay and calibration unknown: {errors.reason}")]
+        text = f"whether poses are late or the calibration is off is unknown: {errors.reason}"
+        return [_fine(Check.DELAY, text)]
     told, half = errors.told, 2 * errors.std
     moved, moved_half, turned, turned_half = (
         float(np.linalg.norm(each[part][told[part]]))
         for part in (slice(1, 4), slice(4, 7))
         for each in (np.array([0, *errors.translation, *errors.rotation]), half)
     )
-    text = ", ".join(
-        [
-            _late(errors.delay, half[0]) if told[0] else "how late poses are cannot be told",
-            *([f"the image is displaced by {1e3 * moved:.1f} mm"] if told[1:4].any() else []),
-            *([f"the image is turned by {np.degrees(turned):.1f} deg"] if told[4:].any() else []),
-            *(["the rest cannot be told from these volumes"] if not told[1:].all() else []),
-        ]
-    )
+    off = [
+        *([f"displaced by {1e3 * moved:.1f} mm"] if told[1:4].any() else []),
+        *([f"turned by {np.degrees(turned):.1f} deg"] if told[4:].any() else []),
+    ]
+    known = [
+        *([_late(errors.delay, half[0])] if told[0] else []),
+        *([f"the image is {' and '.join(off)} against its calibration"] if off else []),
+    ]
+    unknown = [
+        *([] if told[0] else ["whether poses are late"]),
+        *([] if told[1:].all() else [f"how{' else' if off else ''} the image is off"]),
+    ]
+    text = ", ".join(known)
+    if unknown:
+        text += f"; to learn {' and '.join(unknown)}, move and turn the probe more"
     late = told[0] and abs(errors.delay) > max(half[0], _LATE)
     displaced = moved > _DISPLACED + moved_half
     rotated = np.degrees(turned - turned_half) > _TURNED_DEG
@@ -616,7 +635,7 @@ def check_across(sweeps: Sequence[Sequence[PosedFrame]]) -> list[Finding]:
 def check_delay(found: tuple[float, float] | NotFound) -> list[Finding]:
     """Check the delay of poses, and its standard deviation, in s (`sweep_delay`)."""
     if isinstance(found, NotFound):
-        return [_fine(Check.DELAY, f"delay unknown: {found.reason}")]
+        return [_fine(Check.DELAY, f"whether poses are late is unknown: {found.reason}")]
     delay, half = found[0], 2 * found[1]
     text = f"{_late(delay, half)}, by sweeps to and fro"
     right = abs(delay) <= max(half, _LATE)

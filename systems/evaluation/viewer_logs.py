@@ -17,6 +17,7 @@ from sonoservo.systems.evaluation.run_errors import features
 from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.files.refusals import ConfigurationError, require_extra
 from sonoservo.systems.signals.confidence import confidence_ellipsoid
+from sonoservo.systems.signals.needle_colours import ESTIMATE, TRUTH, red_green_blue
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
 from sonoservo.systems.signals.planes import sample_plane, slice_planes
 from sonoservo.systems.signals.volume import Volume
@@ -25,8 +26,6 @@ Floats = NDArray[np.float64]
 Grey = NDArray[np.uint8]
 Colour = tuple[int, int, int]  # red, green and blue from 0 to 255
 
-_TRUE: Colour = (0, 114, 178)
-_ESTIMATED: Colour = (230, 159, 0)
 _QUIET: Colour = (150, 150, 150)
 
 _PIXEL = 0.5e-3  # pixel size of the slices, in m
@@ -306,9 +305,9 @@ def write_run(log: ViewerLog, run: RunLog, surroundings: Surroundings) -> None:
         log.lines("arm", time[moving], surroundings.arm_points(joints[moving]), _QUIET)
     for number, position in enumerate(joints.T):
         log.scalars(f"joints/{number + 1}", time, position)
-    log.lines("needle/true", time, run.needle_points, _TRUE)
+    log.lines("needle/true", time, run.needle_points, red_green_blue(TRUTH))
     estimated = np.stack([run.estimate_entry, run.estimate_tip], axis=1)
-    log.lines("needle/estimated", time, estimated, _ESTIMATED)
+    log.lines("needle/estimated", time, estimated, red_green_blue(ESTIMATE))
     log.ellipsoids(
         "needle/doubt", run.volume_seen, run.volume_estimate_tip, run.volume_estimate_tip_covariance
     )

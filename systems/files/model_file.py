@@ -42,6 +42,11 @@ def model_file(folder: str, name: str) -> Path:
     return own if own.suffix else model_path(f"{folder}/{name}.yaml")
 
 
+def lasting_name(name: str) -> str:
+    """Return a model's name, or the absolute path of a user's file, for use from any folder."""
+    return str(Path(name).absolute()) if Path(name).suffix else name
+
+
 def read_section(path: Path, section: str, sections: Sequence[str]) -> dict[str, Any]:
     """Read one section of a model's YAML file, empty if missing; others are refused."""
     data = read_yaml(path)

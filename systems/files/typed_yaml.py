@@ -29,9 +29,16 @@ _MAX_BYTES = 4 * MAX_LENGTH
 def suggest(name: str, known: Iterable[str]) -> str:
     """Return the known name that contains a name or is nearest to it as a hint, or all names."""
     known = sorted(known)
+    meant = nearest(name, known)
+    return f"did you mean {meant!r}?" if meant else f"known: {', '.join(known)}"
+
+
+def nearest(name: str, known: Iterable[str]) -> str | None:
+    """Return the only known name that contains a name, or else the one nearest to it, if any."""
+    known = sorted(known)
     containing = [each for each in known if len(name) > 2 and name in each]
-    nearest = containing if len(containing) == 1 else difflib.get_close_matches(name, known, n=1)
-    return f"did you mean {nearest[0]!r}?" if nearest else f"known: {', '.join(known)}"
+    near = containing if len(containing) == 1 else difflib.get_close_matches(name, known, n=1)
+    return near[0] if near else None
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
@@ -216,8 +223,7 @@ class _Loader:
         for key, item in value.items():
             if key not in fields:
                 used = {n for n in fields if n in value or getattr(default, n) is not None}
-                inside = _inside(str(key), fields, used)
-                hint = f"did you mean {prefix + inside!r}?" if inside else suggest(str(key), fields)
+                hint = _hint(str(key), prefix, fields, used)
                 self._fail(f"{prefix}{key}", f"unknown field; {hint}")
             made[key] = self.make(fields[key], item, f"{prefix}{key}", getattr(default, key))
         if not dataclasses.is_dataclass(schema):
@@ -237,15 +243,23 @@ def _plain_type(hint: Any) -> Any:
     return hint.__origin__ if typing.get_origin(hint) is typing.Annotated else hint
 
 
-def _inside(key: str, fields: Mapping[str, Any], used: Container[str]) -> str | None:
-    """Return the path of a field by its name in one of the sections, used ones first, or None."""
+def _hint(key: str, prefix: str, fields: Mapping[str, Any], used: Container[str]) -> str:
+    """Hint at a field by its exact name in a section, by a near one here, or else in a section."""
+    inside = _inside(fields, used)
+    meant = key if key in inside else None if nearest(key, fields) else nearest(key, inside)
+    return f"did you mean {prefix + inside[meant]!r}?" if meant else suggest(key, fields)
+
+
+def _inside(fields: Mapping[str, Any], used: Container[str]) -> dict[str, str]:
+    """Return the paths of the fields in sections by their names, those in used sections first."""
+    paths: dict[str, str] = {}
     for name, hint in sorted(fields.items(), key=lambda field: field[0] not in used):
         union = typing.get_origin(hint) in (types.UnionType, typing.Union)
         for each in typing.get_args(hint) if union else [hint]:
             elements = typing.get_args(each) if typing.get_origin(each) is list else ()
-            if any(key in _fields(one) for one in elements or [each]):
-                return f"{name}.0.{key}" if elements else f"{name}.{key}"
-    return None
+            for key in (key for one in elements or [each] for key in _fields(one)):
+                paths.setdefault(key, f"{name}.0.{key}" if elements else f"{name}.{key}")
+    return paths
 
 
 def _is_number(value: Any) -> bool:

@@ -1,6 +1,7 @@
 """Reader of tracked 2D frames as PLUS and others record them."""
 
 from collections.abc import Iterator, Mapping
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
@@ -64,14 +65,16 @@ class TrackedFrames(FileItems):
         if chain.start.startswith("Image"):
             return chain
         names = [name.removesuffix("Transform") for name in self._transforms]
-        own = find_chain(self.path, names, f"ImageTo{chain.start}") if (
-            f"ImageTo{chain.start}" in names or f"{chain.start}ToImage" in names
+        name = f"ImageTo{chain.start}"
+        own = find_chain(self.path, names, name) if (
+            name in names or f"{chain.start}ToImage" in names
         ) else None  # fmt: skip
         if own is not None:
             return TransformChain("Image", chain.end, (*own.links, *chain.links))
+        if misspelt := get_close_matches(name, names, 1, cutoff=0.85):
+            raise ConfigurationError(f"{self.path}: {misspelt[0]}: unknown; did you mean {name!r}?")
         spacing = np.linalg.norm(self.file.directions[:, :2], axis=0)
         if np.allclose(spacing, 1.0) and "ElementSpacing" not in self._fields:
-            name = f"ImageTo{chain.start}"
             there = name + "Transform" in self.file.fields
             raise ConfigurationError(
                 f"{self.path}: the calibration {name} is missing, which tells the size and place "

@@ -1,5 +1,7 @@
 """The world view in a browser: live, opened late, layer by layer, and as a replay."""
 
+from time import monotonic
+
 import numpy as np
 import pytest
 from page_clients.browser_view import eventually, project, screenshot, wait_for_object
@@ -64,8 +66,8 @@ def patch(picture, point, size=3):
     return picture[row - size : row + size + 1, column - size : column + size + 1].astype(int)
 
 
-def is_green(colours):
-    return colours[..., 1] - np.maximum(colours[..., 0], colours[..., 2]) > 35
+def is_orange(colours):
+    return colours[..., 1] - colours[..., 2] > 60
 
 
 def is_violet(colours):
@@ -82,7 +84,7 @@ def test_a_page_opened_late_shows_everything_and_each_layer_can_be_switched_off(
         picture = screenshot(page)
         # What is stated of the tip covers the last quarter.
         for point in project(page, np.linspace(curve.entry, curve.tip, 9)[1:-2]):
-            assert is_green(patch(picture, point)).any()
+            assert is_orange(patch(picture, point)).any()
         assert is_violet(patch(picture, project(page, curve.tip))).any()
         hub = "viewer.scene_tree.find(['needle', 'hub', '0']).object.position.toArray()"
         pink = patch(picture, project(page, page.evaluate(hub)))
@@ -168,4 +170,26 @@ def test_the_console_winds_the_world_of_a_kept_run(replay, open_page):
                 arg=time,
             )
         assert not page.evaluate(f"{animator}.playing")
+        page.close()
+
+
+def test_a_run_has_not_ended_for_its_page_before_the_world_shows_the_end(open_page):
+    with Site() as site:
+        meshcat = open_meshcat(site)
+        console = Console(site, world="world")
+        meshcat.StartRecording()
+        for time in (0.0, 2.0):
+            meshcat.SetTransform("needle", RigidTransform([0, 0, time]), time)
+        page = open_page(console.web_url)
+        console.say(ended="2.0 s simulated")
+        page.wait_for_function("document.getElementById('word').textContent == 'ended'")
+        start = monotonic()
+        console.wait_until_shown(0.5)
+        assert monotonic() - start >= 0.5
+        meshcat.StopRecording()
+        meshcat.PublishRecording()
+        console.wait_until_shown(60.0)
+        assert monotonic() - start < 60.0
+        world = "document.querySelector('#world iframe').contentWindow.viewer"
+        assert page.evaluate(f"{world}.scene_tree.find(['drake', 'needle']).object.position.z") == 2
         page.close()

@@ -1,5 +1,6 @@
 import multiprocessing
 from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
 
 import pytest
 import yaml
@@ -11,6 +12,7 @@ from sonoservo.diagrams.papers.chatelain2013.method.tracker import (
 )
 from sonoservo.diagrams.papers.zhao2012.method.tracker import Zhao2012AsPublishedParameters
 from sonoservo.diagrams.trackers import Zhao2012TrackerParameters
+from sonoservo.models import model_path
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.typed_yaml import dump_typed
 from sonoservo.systems.tracking.axis_tip_filter import AxisTipFilter
@@ -35,6 +37,20 @@ def test_a_file_of_ones_own_and_the_whole_of_it_read_back(tmp_path):
     path.write_text(scenario.to_yaml())
     assert load_scenario(path) == scenario
     assert set(yaml.safe_load(scenario.to_yaml())) == set(FollowingScenario.__dataclass_fields__)
+
+
+def test_a_scenario_with_parts_of_ones_own_reads_back_from_another_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for folder, name in (("probes", "4dc7_3_40"), ("robots", "ur5e"), ("phantoms", "agar")):
+        (tmp_path / f"{name}.yaml").write_text(model_path(f"{folder}/{name}.yaml").read_text())
+    changes = ["probe=4dc7_3_40.yaml", "station.arm=ur5e.yaml", "phantom=./agar.yaml"]
+    text = load_scenario("chatelain2013_fig5", changes=changes).to_yaml()
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    (tmp_path / "kept.yaml").write_text(text)
+    read = load_scenario("../kept.yaml")
+    assert all(Path(each).is_file() for each in (read.probe, read.station.arm, read.phantom))
+    assert read.needle == load_scenario("chatelain2013_fig5").needle
 
 
 def test_the_tracker_is_chosen_by_name(tmp_path):

@@ -20,7 +20,7 @@ from sonoservo.systems.files.refusals import ConfigurationError
 
 _REPLAY = "replay.html"
 
-_LONGEST = 3.0  # time in s for which a program waits at its end for its page
+_LONGEST = 5.0  # time in s for which a program waits at its end for its page
 
 
 @dataclass(frozen=True, kw_only=True)

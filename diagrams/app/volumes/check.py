@@ -70,6 +70,7 @@ _CAUSES = {
 """What to look at, by the reason for which volumes or frames are left out; else the tracker."""
 _ERROR_MM = 2.0  # Error of a calibration in mm that shows in a needle's place
 _LETTERS = ("LR", "PA", "SI")
+_SIDES = {"L": "left", "R": "right", "P": "back", "A": "front", "S": "head", "I": "feet"}
 _SECONDS = 5.0
 _MOST_BYTES = 1 << 30  # most that is read to see whether volumes repeat each other
 
@@ -252,15 +253,14 @@ def _check_recording(checked: CheckedSource, recording: Recording, reading: Read
     box = " x ".join(f"{each:.0f}" for each in steps * (np.array(file.shape) - 1))
     checked.note(Check.KIND, f"{counted(file.count, 'volume')} of {size} voxels, {box} mm")
     checked.findings += _check_left_out(recording, "volume")
-    axes = ", ".join(_letter(axis) for axis in file.directions.T)
     hand = (
         ""
         if np.linalg.det(file.directions) > 0
         else ", left-handed: the image is mirrored if they are not meant to be"
     )
-    checked.note(
-        Check.GRID, f"axes run to {axes} (LPS){hand}; the sound is taken to run to {reading.depth}"
-    )
+    axes = _axes_words(file.directions)
+    depth = f"{_SIDES[reading.depth]} (--depth {reading.depth})"
+    checked.note(Check.GRID, f"{axes}{hand}; the sound is taken to run to the {depth}")
     checked.findings += check_spacing(steps, file.shape)
     checked.findings += _check_header(recording)
     posed = "the volumes have poses" if recording.posed else "no poses: the probe counts as at rest"
@@ -314,6 +314,13 @@ def _first_ones(file: VolumeFile) -> Iterator[NDArray[Any]]:
         total += voxels.nbytes
         if total > _MOST_BYTES:
             return
+
+
+def _axes_words(directions: NDArray[np.float64]) -> str:
+    """Say to which sides of the body the axes of a grid run, whose steps are the columns in LPS."""
+    letters = [_letter(axis) for axis in directions.T]
+    first, second, third = (_SIDES[each] for each in letters)
+    return f"axes run to the body's {first}, {second} and {third} ({', '.join(letters)})"
 
 
 def _letter(axis: Any) -> str:
@@ -456,8 +463,7 @@ def _check_images(checked: CheckedSource, record: _StreamRecord, reading: Readin
     posed, volume = volumes[len(volumes) // 2]
     image = posed.image
     size = " x ".join(map(str, image.voxels.shape))
-    axes = ", ".join(_letter(axis) for axis in image.X_LI[:3, :3].T)
-    checked.note(Check.GRID, f"{size} voxels whose axes run to {axes} (LPS)")
+    checked.note(Check.GRID, f"{size} voxels; {_axes_words(image.X_LI[:3, :3])}")
     steps = 1e3 * np.linalg.norm(image.X_LI[:3, :3], axis=0)
     checked.findings += check_spacing(steps, image.voxels.shape[:3])
     checked.show(volume, (maker.X_WL(posed).inverse() @ volume.X_WP).rotation())

@@ -102,7 +102,13 @@ function show() {
   fit();
   contrast();
   const shown = state.number;
-  requestAnimationFrame(() => { send("drawn", shown); });
+  // What ends a run waits for the page, so that the world, which is sent by itself, ends as well.
+  const tell = () => {
+    if (state.number !== shown) return;
+    if (state.ended && state.world === "world" && !wound) setTimeout(tell, 100);
+    else send("drawn", shown);
+  };
+  requestAnimationFrame(tell);
 }
 
 function showReadings() {

@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 
 from sonoservo.systems.display.colours import (
     CROSS_SECTION,
+    ESTIMATE,
     FORCE,
     MODE_COLOURS,
     SECTOR,
-    STEEL,
     STOPPED,
+    TRUTH,
     UNCERTAINTY,
     hexadecimal,
 )
@@ -30,11 +31,11 @@ _MODES = [str(mode) for mode in MODE_COLOURS]
 _COLOURS = {str(mode): hexadecimal(colour) for mode, colour in MODE_COLOURS.items()}
 _PAGE_COLOURS = {
     **{str(mode): colour for mode, colour in MODE_COLOURS.items()},
-    "stopped": STOPPED, "steel": STEEL, "sector": SECTOR, "uncertainty": UNCERTAINTY,
+    "stopped": STOPPED, "truth": TRUTH, "sector": SECTOR, "uncertainty": UNCERTAINTY,
     "force": FORCE, "cross-section": CROSS_SECTION,
 }  # fmt: skip
 LINE_COLOURS = {
-    "needle": _COLOURS["tracking"], "resting": _FIRST, "riding": _SECOND, "appeared": "#d98cc4",
+    "needle": _COLOURS["tracking"], "resting": _FIRST, "riding": "#25cf97", "appeared": "#d98cc4",
 }  # fmt: skip
 """Colours of the lines that are followed, by their class."""
 
@@ -184,13 +185,13 @@ def _chart_figures() -> dict[str, Any]:
         plots[name] = plot = _plot(depth, deflection, "depth (mm)", label)
         path = _source("depth", axis, f"{axis}_low", f"{axis}_high")
         plot.varea("depth", f"{axis}_low", f"{axis}_high", source=path, fill_alpha=0.35,
-                   fill_color=hexadecimal(FORCE), name="path", legend_label="95 %")  # fmt: skip
-        plot.line("depth", axis, source=path, line_color=_COLOURS["tracking"], line_width=2,
+                   fill_color=hexadecimal(ESTIMATE), name="path", legend_label="95 %")  # fmt: skip
+        plot.line("depth", axis, source=path, line_color=hexadecimal(ESTIMATE), line_width=2,
                   legend_label="predicted")  # fmt: skip
         plot.scatter("depth", axis, source=_source("depth", axis), size=3, line_color=None,
                      fill_color=hexadecimal(CROSS_SECTION), name="found",
                      legend_label="found")  # fmt: skip
-        plot.line("depth", axis, source=_source("depth", axis), line_color=hexadecimal(STEEL),
+        plot.line("depth", axis, source=_source("depth", axis), line_color=hexadecimal(TRUTH),
                   line_width=2, line_dash="dashed", name="true", legend_label="true")  # fmt: skip
         _style_legend(plot)
     return plots

@@ -24,7 +24,7 @@ Floats = NDArray[np.float64]
 
 _POINTS = 41
 # Marks of the world, by the class of their colour in the page, and their words.
-_LEGEND = ("steel needle", "tracking predicted", "force 95 % of it", "cross-section found here")
+_LEGEND = ("truth needle", "tracking predicted", "band 95 % of it", "cross-section found here")
 PATHS = ("depth", "x", "x_low", "x_high", "y", "y_low", "y_high")
 """Columns of the predicted path: depth, and the mean and 95 % of the deflection along X and Y."""
 
@@ -33,8 +33,8 @@ class ShapePage:
     """Shows each slice with the cross-section in it, and the deflection over depth, on a console.
 
     The deflection is that from the first cross-section, along X and along Y of the probe at the
-    first slice: what was predicted with its 95 % down to a depth in m, what was found in each
-    slice, and the true needle so far.
+    first slice: what was predicted with its 95 % down to a depth in m, and what was found in each
+    slice beside where the true needle crossed it, which moves on with the tissue afterwards.
     """
 
     def __init__(self, *, console: "Console", depth: float) -> None:
@@ -50,6 +50,7 @@ class ShapePage:
         self._first: RigidTransform | None = None
         self._origin: Floats | None = None
         self._found: list[list[float]] = []
+        self._true: list[list[float]] = []
         self._number = 0
         self._time = -math.inf
 
@@ -62,6 +63,9 @@ class ShapePage:
         self._first = self._first or image.X_WP
         into_first = self._first.inverse()
         shaft = into_first.multiply(seen.X_WT.multiply(seen.needle.shaft.T)).T.reshape(-1, 3)
+        depth = float(into_first.multiply(image.X_WP.translation())[2])
+        if len(shaft) and shaft[0, 2] <= depth <= shaft[-1, 2]:
+            self._true.append([*_crossing(shaft, depth), depth])
         if isinstance(found, CrossSection):
             place = into_first.multiply(found.position)
             if self._origin is None:
@@ -70,15 +74,15 @@ class ShapePage:
         if self._origin is None:
             self._origin = shaft[0, :2] if len(shaft) else np.zeros(2)
         picture = slice_picture(image, found)
-        paths = self._paths(shape, shaft)
+        paths = self._paths(shape)
         mode = TrackingMode.TRACKING if isinstance(found, CrossSection) else TrackingMode.LOST
         self._console.show_frame(
             Frame(self._number, image.time, mode, [picture], image.decibels_per_level, paths)
         )
-        self._console.add(self._sample(seen.time, image, found, shape, shaft))
+        self._console.add(self._sample(seen.time, depth, found, shape, shaft))
 
-    def _paths(self, shape: NeedleShape | NotFound, shaft: Floats) -> dict[str, list[float]]:
-        """Return columns in mm: the predicted path, those found, and the true one; see `PATHS`."""
+    def _paths(self, shape: NeedleShape | NotFound) -> dict[str, list[float]]:
+        """Return columns in mm: the predicted path, those found, and the true ones; see `PATHS`."""
         columns: dict[str, list[float]] = {name: [] for name in PATHS}
         assert self._origin is not None
         if isinstance(shape, NeedleShape):
@@ -91,7 +95,8 @@ class ShapePage:
                 for column, values in (("", middle), ("_low", middle - reach),
                                        ("_high", middle + reach)):  # fmt: skip
                     columns[name + column] = np.round(values, 3).tolist()
-        for prefix, points in (("found", np.reshape(self._found, (-1, 3))), ("true", shaft)):
+        for prefix, crossed in (("found", self._found), ("true", self._true)):
+            points = np.reshape(crossed, (-1, 3))
             inside = points[points[:, 2] >= 0]
             shown = 1e3 * (inside - [*self._origin, 0.0])
             for name, values in zip(("x", "y", "depth"), shown.T, strict=True):
@@ -101,14 +106,13 @@ class ShapePage:
     def _sample(
         self,
         time: float,
-        image: ImageSlice,
+        depth: float,
         found: CrossSection | NotFound,
         shape: NeedleShape | NotFound,
         shaft: Floats,
     ) -> Sample:
         assert self._first is not None
         assert self._origin is not None
-        depth = float((self._first.inverse() @ image.X_WP).translation()[2])
         bend, final, sure, error = (math.nan,) * 4
         if len(shaft):
             bend = 1e3 * float(np.linalg.norm(shaft[-1, :2] - self._origin))
@@ -117,9 +121,8 @@ class ShapePage:
             final = 1e3 * float(np.linalg.norm(mean[0] - self._origin))
             sure = 1e3 * RADIUS_95 * float(shape.std(self._depths[-1:])[0])
         if isinstance(found, CrossSection) and len(shaft):
-            true = [np.interp(depth, shaft[:, 2], axis) for axis in shaft[:, :2].T]
             place = self._first.inverse().multiply(found.position)
-            error = 1e3 * float(np.linalg.norm(place[:2] - true))
+            error = 1e3 * float(np.linalg.norm(place[:2] - _crossing(shaft, depth)))
         end = f"bend at {1e3 * self._depths[-1]:.0f}"
         readings = [
             Reading("depth", "slice at", 1e3 * depth, "mm"),
@@ -130,6 +133,11 @@ class ShapePage:
         ]
         said = "following the needle" if isinstance(found, CrossSection) else found.reason
         return Sample(time=time, error=error, readings=readings, reason=said)
+
+
+def _crossing(shaft: Floats, depth: float) -> Floats:
+    """Return x and y at a depth of a needle's (n, 3) points, entry first."""
+    return np.array([np.interp(depth, shaft[:, 2], axis) for axis in shaft[:, :2].T])
 
 
 def slice_picture(image: ImageSlice, found: CrossSection | NotFound) -> SlicePicture:

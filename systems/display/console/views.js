@@ -55,9 +55,10 @@ function closeUp(frame) {
 let wound = null;
 function seek(frame) {
   const animator = frame.contentWindow.viewer?.animator;
-  const at = state.seek ?? (state.ended && wound !== animator ? Infinity : null);
+  // Each recording that is loaded has a mixer of its own.
+  const at = state.seek ?? (state.ended && wound !== animator?.mixer ? Infinity : null);
   if (at == null || !(animator?.duration > 0)) return;
-  wound = animator; // at the end of a run it shows the end, until somebody plays it
+  wound = animator.mixer; // at the end of a run it shows the end, until somebody plays it
   if (animator.playing) animator.pause();
   frame.contentWindow.viewer.set_property(["phase"], "visible", false); // it is said beside it
   animator.seek(Math.min(at, animator.duration));

@@ -3,7 +3,7 @@
 from pydrake.geometry import Meshcat, Sphere
 from pydrake.math import RigidTransform, RotationMatrix
 
-from sonoservo.systems.display.colours import HUB, MODE_COLOURS, STEEL, rgba
+from sonoservo.systems.display.colours import HUB, MODE_COLOURS, STEEL, TRUTH, rgba
 from sonoservo.systems.display.shapes import circle, tubes
 from sonoservo.systems.display.world.parts import Rod, Switch
 from sonoservo.systems.signals.needle import Needle
@@ -25,7 +25,7 @@ class NeedleView:
         meshcat.SetObject(self._tip, Sphere(_BALL), rgba((1, 1, 1)))
         self._tip_switch = Switch(meshcat=meshcat, path=self._tip)
         self._inside = Rod(
-            meshcat=meshcat, path=f"{path}/inside", radius=radius, colour=rgba(STEEL), segments=6
+            meshcat=meshcat, path=f"{path}/inside", radius=radius, colour=rgba(TRUTH), segments=6
         )
         self._outside = Rod(
             meshcat=meshcat, path=f"{path}/outside", radius=radius, colour=rgba(STEEL)

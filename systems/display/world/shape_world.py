@@ -7,7 +7,7 @@ from pydrake.geometry import Box, Cylinder, Meshcat, Rgba
 from pydrake.math import RigidTransform
 from scipy.ndimage import binary_fill_holes
 
-from sonoservo.systems.display.colours import CROSS_SECTION, FORCE, MODE_COLOURS, rgba
+from sonoservo.systems.display.colours import CROSS_SECTION, ESTIMATE, rgba
 from sonoservo.systems.display.shape_view import ShapeSight
 from sonoservo.systems.display.shapes import circle, tubes
 from sonoservo.systems.display.textured_quads import encode_webp, gltf_textured_quads
@@ -16,7 +16,6 @@ from sonoservo.systems.display.world.parts import Film, Rod, set_scene
 from sonoservo.systems.signals.confidence import RADIUS_95
 from sonoservo.systems.signals.cross_section import CrossSection
 from sonoservo.systems.signals.image_slice import ImageSlice
-from sonoservo.systems.signals.needle_estimate import TrackingMode
 from sonoservo.systems.signals.needle_shape import NeedleShape
 from sonoservo.systems.signals.planes import Plane, box_edges
 from sonoservo.systems.signals.sweep import SweepGeometry
@@ -35,7 +34,7 @@ _FILM_PERIOD = 0.2  # Smallest time between two pictures kept for the replay, in
 class ShapeWorld:
     """Draws a needle, its predicted shape with the tube of its uncertainty, and the newest slice.
 
-    The true needle is grey. The predicted shape has the colour of tracking and reaches from the
+    The true needle is blue. The predicted shape is orange, as estimates are, and reaches from the
     first slice to the full `depth` in m; at each depth, the tube around it contains the needle with
     a probability of 95 %. A ring marks the newest cross-section, and the probe, of a sweep's
     geometry, is drawn at each slice. The phantom has (3,) extents in m.
@@ -75,8 +74,8 @@ class ShapeWorld:
                 segments=_SEGMENTS,
             )
             for name, colour in (
-                ("predicted", rgba(MODE_COLOURS[TrackingMode.TRACKING])),
-                ("tube", rgba(FORCE, 0.35)),
+                ("predicted", rgba(ESTIMATE)),
+                ("tube", rgba(ESTIMATE, 0.35)),
             )
         )  # fmt: skip
         self._film = Film(meshcat=meshcat, path=f"{path}/slice", frames=400, period=_FILM_PERIOD)

@@ -74,9 +74,9 @@ class WorldView(LeafSystem):
     Each layer has a path of its own and, under "Open Controls" in the page, a checkbox that hides
     it:
 
-    - ``needle``: the true `needle` (a Needle in T), steel with a pink hub, thicker than it is, with
-      a white ball at its tip
-    - ``estimate``: the estimated needle, green while tracking, amber while coasting and red when
+    - ``needle``: the true `needle` (a Needle in T), thicker than it is: blue in the tissue, with
+      a white ball at its tip, and steel outside it, with a pink hub
+    - ``estimate``: the estimated needle, orange while tracking, pale while coasting and red when
       lost, with a ring around its tip
     - ``uncertainty``: the 95 % confidence ellipsoid of the tip, true to scale
     - ``sector``: the outline of the sweep, which moves with the probe

@@ -13,10 +13,11 @@ from sonoservo.systems.evaluation.explanation.explained_volume import AFTER, BEF
 from sonoservo.systems.evaluation.log import Array
 from sonoservo.systems.signals.confidence import squared_distance
 from sonoservo.systems.signals.line_hypotheses import LINE_CLASSES
+from sonoservo.systems.signals.needle_colours import ESTIMATE, TRUTH
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_estimate import TrackingMode
 
-TRUE, PREDICTED, MEASURED, ESTIMATED = "#00C08B", "#56B4E9", "#FF7F2A", "#D779A7"
+TRUE, ESTIMATED, PREDICTED, MEASURED = TRUTH, ESTIMATE, "#00C08B", "#D779A7"
 LINE = "#F0E442"
 _QUIET = "0.45"
 _ACROSS = {"beam": "along", "cross": "across"}

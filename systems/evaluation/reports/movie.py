@@ -13,10 +13,8 @@ from PIL import Image, ImageColor
 from sonoservo.systems.evaluation.reports.key_frames import true_needle
 from sonoservo.systems.evaluation.reports.plots import (
     BLUE,
-    ESTIMATE,
     GREEN,
     ORANGE,
-    TRUTH,
     Frame,
     movie_frame,
     title,
@@ -26,6 +24,7 @@ from sonoservo.systems.evaluation.run_errors import estimate_errors, features
 from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.writing import write_atomically
+from sonoservo.systems.signals.needle_colours import ESTIMATE, TRUTH
 
 FORMATS = (".gif", ".mp4")  # suffixes of movies
 _GREYS = 48  # number of greys of a GIF; few colours keep it small

@@ -13,6 +13,7 @@ from pydrake.math import RotationMatrix
 
 from sonoservo.systems.evaluation.run_errors import estimate_errors, features, in_frame
 from sonoservo.systems.evaluation.run_log import RunLog
+from sonoservo.systems.signals.needle_colours import TRUTH
 from sonoservo.systems.signals.needle_estimate import TrackingMode
 
 Floats = NDArray[np.float64]
@@ -20,9 +21,6 @@ Frame = NDArray[np.uint8]
 
 # Okabe and Ito's colours stay distinguishable for colour-blind readers.
 BLUE, ORANGE, GREEN, PURPLE = "#0072B2", "#D55E00", "#009E73", "#CC79A7"
-ESTIMATE, TRUTH = "#E69F00", "#56B4E9"
-"""Colours of the estimated and of the true needle on a picture."""
-
 COLOURS = (BLUE, ORANGE, GREEN, PURPLE, TRUTH, "#000000")
 """Colours of the runs, in turn."""
 

@@ -15,17 +15,16 @@ from pydrake.systems.framework import Context, LeafSystem
 
 from sonoservo.systems.evaluation.reports.plots import (
     BLUE,
-    ESTIMATE,
     GREEN,
     ORANGE,
     PURPLE,
-    TRUTH,
 )
 from sonoservo.systems.files.memory import require_memory
 from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
 from sonoservo.systems.files.writing import write_atomically
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.leaves import declare_looks, declare_memory
+from sonoservo.systems.signals.needle_colours import ESTIMATE, TRUTH
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
 from sonoservo.systems.signals.planes import sample_plane, slice_planes

@@ -9,9 +9,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from sonoservo.systems.evaluation.reports.plots import (
-    ESTIMATE,
     ORANGE,
-    TRUTH,
     Curve,
     Frame,
     movie_frame,
@@ -26,6 +24,7 @@ from sonoservo.systems.evaluation.shape.shape_metrics import (
 )
 from sonoservo.systems.signals.confidence import RADIUS_95
 from sonoservo.systems.signals.image_slice import ImageSlice
+from sonoservo.systems.signals.needle_colours import ESTIMATE, TRUTH
 from sonoservo.systems.signals.needle_shape import NeedleShape
 
 Floats = NDArray[np.float64]

@@ -111,6 +111,7 @@ def test_a_mistake_is_one_line_and_exit_code_2_and_leaves_nothing(
             "No such option: --duration. A scenario's fields are set by --set, such as "
             "--set duration=3. `sonoservo run --help` lists the options.",
         ),
+        (["track", "x", "--no-meshcat"], "--no-meshcat. It is an option of `sonoservo run`."),
         (["list", "--foo"], "No such option: --foo. `sonoservo list --help` lists the options."),
         (["explain", "out", "--time", "abc"], "'abc'"),
         (["rnu"], "`sonoservo --help` lists the commands and their options."),

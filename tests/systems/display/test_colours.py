@@ -9,11 +9,12 @@ from sonoservo.systems.display.colours import (
     HUB,
     MODE_COLOURS,
     SECTOR,
-    STEEL,
     STOPPED,
+    TRUTH,
     UNCERTAINTY,
     ink,
 )
+from sonoservo.systems.signals import TrackingMode
 
 # How a colour without its blue, green or red cones is seen, in linear RGB: Machado, Oliveira and
 # Fernandes 2009, table 1, severity 1.
@@ -42,8 +43,9 @@ def seen(colour, vision):
     "colours",
     [
         list(MODE_COLOURS.values()),  # which the tracker is in
-        [*list(MODE_COLOURS.values())[1:], STEEL, UNCERTAINTY],  # lie on one another
+        [*list(MODE_COLOURS.values())[1:], TRUTH, UNCERTAINTY],  # lie on one another
         [FORCE, HUB, SECTOR],
+        [FORCE, TRUTH, MODE_COLOURS[TrackingMode.TRACKING]],
     ],
 )
 def test_colours_are_told_apart_by_every_colour_vision(vision, colours):

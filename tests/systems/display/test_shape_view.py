@@ -1,5 +1,7 @@
 """A shape prediction on its screens: in the world, and on the console."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from pydrake.common.value import Value
@@ -116,3 +118,13 @@ def test_a_slice_is_shown_once_and_one_without_a_needle_says_why(view, console, 
     assert console.samples[0].reason == "no bright spot"
     assert console.frames[0].paths["depth"] == []
     assert not len(console.frames[0].pictures[0].tip)
+
+
+def test_the_true_needle_is_that_at_each_slice_whatever_the_tissue_does_later(view, console):
+    later = replace(SLICE, X_WP=X_WP @ RigidTransform([0, 0, 0.01]), time=SLICE.time + 1)
+    moved = Needle([[0.103, 0.003, -0.01], [0.107, 0.003, 0.02]], 6e-4)
+    for slice_, needle in ((SLICE, NEEDLE), (later, moved)):
+        publish(view, slice=slice_, cross_section=FOUND, shape=SHAPE, needle=needle)
+    first, second = (each.paths for each in console.frames)
+    assert second["true_depth"] == pytest.approx([0.0, 10.0])
+    assert second["true_x"][:1] == first["true_x"]

@@ -194,6 +194,12 @@ def test_a_sector_on_its_head_too_much_gain_and_holes_are_told(volume):
     assert "such as volume 4: 20 % instead of 41 %" in found[1]
 
 
+def test_first_volumes_that_show_little_are_no_fault_as_the_probe_has_no_contact_yet():
+    (found,) = check_seen({0: 0.15, 1: 0.2, 2: 0.41, 3: 0.42, 4: 0.40})
+    assert found.grade is Grade.FINE
+    assert "without contact does: 15 % of the box instead of 40 %" in found.text
+
+
 def test_amplitudes_that_are_not_log_compressed_are_told(volume, amplitude):
     linear = replace(volume, intensities=np.float32(255 / amplitude.max()) * amplitude)
     assert "its numbers are amplitudes" in worst(check_volume(linear))[1]

@@ -76,6 +76,7 @@ def test_loads_over_defaults():
         ({"front": {"spoke": 3}}, "front.spoke: unknown field; did you mean 'spokes'?"),
         ({"zzz": 3}, "zzz: unknown field; known: basket, bell"),
         ({"spokes": 3}, ": spokes: unknown field; did you mean 'front.spokes'?"),
+        ({"radios": 3}, ": radios: unknown field; did you mean 'front.radius'?"),
         (
             {"front": 3},
             "front: 3 is not allowed; expected a mapping with the fields radius, spokes",

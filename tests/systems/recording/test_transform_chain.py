@@ -133,6 +133,8 @@ def test_a_calibration_is_refused_if_missing_and_taken_from_anywhere(tmp_path, t
     path, calibration, frames = tracked
     with pytest.raises(ConfigurationError, match=r"calibration ImageToProbe is missing.*--plus-c"):
         TrackedFrames(path)
+    with pytest.raises(ConfigurationError, match="ImageToProb: unknown; did you .*'ImageToProbe'"):
+        TrackedFrames(path, transforms={"ImageToProb": calibration})
     (tmp_path / "c.txt").write_text("\n".join(text(row) for row in calibration))
     rows = np.concatenate([np.diag([0.5, 0.4, 1, 1]), pose(1, 0.1, 0.2, 0.3)])
     np.savetxt(tmp_path / "calib_matrix.csv", rows, delimiter=",", fmt="%.17g")
