@@ -93,7 +93,7 @@ class InteractingState(Immutable):
         covariance[:size, :size] += self.constant
         return mean, covariance
 
-    @property
+    @cached_property
     def curve(self) -> NeedleCurve:
         """Curve of the control points in W."""
         return NeedleCurve(self._needle[0][: self._size].reshape(-1, 3))
