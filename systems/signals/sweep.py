@@ -253,12 +253,16 @@ def _to_world(  # pragma: no cover - compiled
     for m in range(len(p_P)):
         frame = min(max(frames[m], 0.0), float(last))
         k = min(int(frame), max(last - 1, 0)) if frame == frame else 0
-        below, above, weight = X_WP[k], X_WP[min(k + 1, last)], frame - k
+        above, weight = min(k + 1, last), frame - k
         x, y, z = p_P[m, 0], p_P[m, 1], p_P[m, 2]
         for row in range(3):
-            a, b, c, d = (1 - weight) * below[row] + weight * above[row]
+            # By element: an array for each row takes longer than the arithmetic.
+            a = (1 - weight) * X_WP[k, row, 0] + weight * X_WP[above, row, 0]
+            b = (1 - weight) * X_WP[k, row, 1] + weight * X_WP[above, row, 1]
+            c = (1 - weight) * X_WP[k, row, 2] + weight * X_WP[above, row, 2]
+            d = (1 - weight) * X_WP[k, row, 3] + weight * X_WP[above, row, 3]
             p_W[m, row] = a * x + c * z + b * y + d
-        times[m] = (1 - weight) * frame_times[k] + weight * frame_times[min(k + 1, last)]
+        times[m] = (1 - weight) * frame_times[k] + weight * frame_times[above]
 
 
 @dataclass(frozen=True, eq=False)
@@ -313,8 +317,7 @@ def line_axes(geometry: SweepGeometry, p_P: Floats) -> tuple[Floats, Floats]:
     y = y + geometry.motor_radius
     q = np.hypot(y, z) + geometry.array_radius - geometry.motor_radius
     phi, theta = np.arctan2(x, q), np.arctan2(z, y)
-    lateral = [np.cos(phi), -np.sin(phi) * np.cos(theta), -np.sin(phi) * np.sin(theta)]
-    elevation = [np.zeros_like(phi), -np.sin(theta), np.cos(theta)]
-    axial = [np.sin(phi), np.cos(phi) * np.cos(theta), np.cos(phi) * np.sin(theta)]
+    (c, s), (u, v) = ((np.cos(each), np.sin(each)) for each in (phi, theta))
+    lateral, elevation, axial = [c, -s * u, -s * v], [np.zeros_like(c), -v, u], [s, c * u, c * v]
     axes = np.array([lateral, elevation, axial]).transpose(2, 0, 1)
     return axes, np.hypot(q, x) - geometry.array_radius

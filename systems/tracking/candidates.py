@@ -8,12 +8,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from sonoservo.systems.sampling.kernels import scattered
+from sonoservo.systems.sampling.kernels import OPTIONS, scattered
 from sonoservo.systems.signals.volume import Volume
 from sonoservo.systems.tracking.axis import Axis
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**OPTIONS)
 def _voxels_near(  # pragma: no cover - compiled
     intensities: Any,
     origin: Any,
@@ -28,48 +28,44 @@ def _voxels_near(  # pragma: no cover - compiled
     lower: Any,
     upper: Any,
 ) -> Any:
-    """Find the voxels near an axis, each with a key by which to sort them.
+    """Find the voxels near an axis, by flat index, each with a key by which to sort them.
 
     A key's first 16 bits are the number of the voxel's slab, the next 16 its darkness in 1/256 of a
     grey level, and the last 32 order equal ones by hash.
     """
-    capacity = 4096
-    index = np.empty((capacity, 3), np.int32)
-    key = np.empty(capacity, np.uint64)
     _, ny, nz = intensities.shape
+    (ox, oy, oz), (sx, sy, sz) = origin, spacing
+    (ax, ay, az), (kx, ky, kz) = axis_origin, direction
+    c = np.zeros((3, 3))
+    for n in range(len(coefficients)):
+        c[n, 0], c[n, 1], c[n, 2] = coefficients[n]
+    (bx, by, bz), (cx, cy, cz), (dx, dy, dz) = c
+    # Each voxel is written, and the next one over it unless it counts: no branch stops SIMD.
+    size = (upper[0] - lower[0]) * (upper[1] - lower[1]) * (upper[2] - lower[2])
+    index, abscissa = np.empty(size + 1, np.int64), np.empty(size + 1)
     found = 0
-    order = coefficients.shape[0]
     for i in range(lower[0], upper[0]):
-        x = origin[0] + spacing[0] * i
+        x = ox + sx * i
         for j in range(lower[1], upper[1]):
-            y = origin[1] + spacing[1] * j
-            base = (x - axis_origin[0]) * direction[0] + (y - axis_origin[1]) * direction[1]
+            y = oy + sy * j
+            base = (x - ax) * kx + (y - ay) * ky
             for k in range(lower[2], upper[2]):
-                if intensities[i, j, k] == 0:  # nothing echoes, whether it was seen or not
-                    continue
-                z = origin[2] + spacing[2] * k
-                a = base + (z - axis_origin[2]) * direction[2]
-                if a < start or a >= stop:
-                    continue
-                dx, dy, dz, power = x, y, z, 1.0
-                for n in range(order):
-                    dx -= coefficients[n, 0] * power
-                    dy -= coefficients[n, 1] * power
-                    dz -= coefficients[n, 2] * power
-                    power *= a
-                if dx * dx + dy * dy + dz * dz > radius * radius:
-                    continue
-                if found == capacity:
-                    capacity *= 2
-                    index = np.concatenate((index, np.empty_like(index)))
-                    key = np.concatenate((key, np.empty_like(key)))
-                index[found, 0], index[found, 1], index[found, 2] = i, j, k
-                level = min(max(256 * float(intensities[i, j, k]), 0.0), 65535.0)
-                number = np.uint64(min((a - start) / slab, 65535.0)) << np.uint64(16)
-                key[found] = (number + np.uint64(65535 - int(level))) << np.uint64(32)
-                key[found] += scattered((i * ny + j) * nz + k)
-                found += 1
-    return index[:found], key[:found]
+                z = oz + sz * k
+                a = base + (z - az) * kz
+                ex = x - bx - cx * a - dx * (a * a)
+                ey = y - by - cy * a - dy * (a * a)
+                ez = z - bz - cz * a - dz * (a * a)
+                near = (a >= start) & (a < stop) & (ex * ex + ey * ey + ez * ez <= radius * radius)
+                index[found], abscissa[found] = (i * ny + j) * nz + k, a
+                # Where nothing echoes does not count, whether it was seen or not.
+                found += int(near & (intensities[i, j, k] != 0))
+    index, key, flat = index[:found], np.empty(found, np.uint64), intensities.ravel()
+    for n in range(found):
+        level = min(max(256 * float(flat[index[n]]), 0.0), 65535.0)
+        number = np.uint64(min((abscissa[n] - start) / slab, 65535.0)) << np.uint64(16)
+        number = (number + np.uint64(65535 - int(level))) << np.uint64(32)
+        key[n] = number + scattered(index[n])
+    return index, key
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,13 +112,15 @@ def select_candidates(
         np.clip(upper, 0, shape).astype(np.int64),
     )
     order = np.argsort(key)  # No two are equal, so every way of sorting gives the same.
-    index, number = index[order], (key[order] >> np.uint64(48)).astype(np.int64)
-    value = volume.intensities[index[:, 0], index[:, 1], index[:, 2]].astype(float)
-    first = np.searchsorted(number, np.arange(math.ceil((stop - start) / slab) + 1))
-    rank = np.arange(len(value)) - first[number]
+    number = (key[order] >> np.uint64(48)).astype(np.int64)
+    slabs = np.arange(math.ceil((stop - start) / slab) + 1)
     count = max(1, round(cross_section * slab / float(np.prod(volume.spacing))))
-    chosen = rank < count
-    last = np.minimum(first[number] + count, first[number + 1]) - 1
-    span = value[first[number]] - value[last]
-    weights = (value - value[last] + 0.1 * span + 1e-9) / (1.1 * span + 1e-9)
-    return Candidates(volume.position(index[chosen]), weights[chosen])
+    chosen = np.arange(len(number)) - np.searchsorted(number, slabs)[number] < count
+    index, number = index[order[chosen]], number[chosen]
+    value = volume.intensities.ravel()[index].astype(float)
+    first = np.searchsorted(number, slabs)
+    darkest = value[first[number + 1] - 1]
+    span = value[first[number]] - darkest
+    weights = (value - darkest + 0.1 * span + 1e-9) / (1.1 * span + 1e-9)
+    index = np.stack(np.unravel_index(index, volume.intensities.shape), axis=1)
+    return Candidates(volume.position(index), weights)

@@ -17,7 +17,11 @@ from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
 from sonoservo.systems.signals.requirements import Positive, check_bounds, require
 from sonoservo.systems.signals.velocity_measurement import VelocityMeasurement
-from sonoservo.systems.tracking.needle_motion import NeedleMotionParameters, constant_velocity
+from sonoservo.systems.tracking.needle_motion import (
+    NeedleMotionParameters,
+    acceleration_density,
+    constant_velocity,
+)
 from sonoservo.systems.tracking.tip import REACH
 
 Floats = NDArray[np.float64]
@@ -89,7 +93,7 @@ class InteractingState(Immutable):
         covariance[:size, :size] += self.constant
         return mean, covariance
 
-    @property
+    @cached_property
     def curve(self) -> NeedleCurve:
         """Curve of the control points in W."""
         return NeedleCurve(self._needle[0][: self._size].reshape(-1, 3))
@@ -252,19 +256,16 @@ class InteractingFilter:
         moving, count = slice(2 * size), len(weights)
         A = np.stack([np.eye(3 * size + 2)] * count)
         Q = np.zeros_like(A)
-        for model, motion in enumerate((self.steady, self.unsteady, self.carried, self.jerked)):
-            n, rests = 3 * model, replace(motion, insertion=0.0)
-            # A jerk moves what is seen; what is not seen grows as a hand pushes.
-            grows = min(motion.insertion, self.carried.insertion)
-            A[n, moving, moving], Q[n, moving, moving] = constant_velocity(
-                dt, motion.density(curve)
-            )
-            A[n + 1 : n + 3, moving, moving], Q[n + 1 : n + 3, moving, moving] = constant_velocity(
-                dt, rests.density(curve)
-            )
-            A[n + 2, -2:, -2:], Q[n + 2, -2:, -2:] = constant_velocity(
-                dt, np.array([[grows]]), fades=self.unseen_time
-            )
+        motions = (self.steady, self.unsteady, self.carried, self.jerked)
+        parts = np.array([[each.insertion, each.body, each.bending] for each in motions])
+        # An end that advances moves along the needle, one that rests or hides does not.
+        insertion, body, bending = np.repeat(parts, 3, axis=0).T[..., np.newaxis, np.newaxis]
+        advancing = np.tile([1.0, 0.0, 0.0], 4)[:, np.newaxis, np.newaxis] * insertion
+        density = acceleration_density(curve, advancing, body, bending)
+        A[:, moving, moving], Q[:, moving, moving] = constant_velocity(dt, density)
+        # A jerk moves what is seen; what is not seen grows as a hand pushes.
+        grows = np.minimum(insertion[2::3], self.carried.insertion)
+        A[2::3, -2:, -2:], Q[2::3, -2:, -2:] = constant_velocity(dt, grows, fades=self.unseen_time)
         means = (A @ x[..., np.newaxis])[..., 0]
         covariances = A @ P @ A.swapaxes(1, 2) + Q
         weights = weights * _beyond_end(means, covariances) / _beyond_end(x, P)
@@ -360,8 +361,10 @@ class InteractingFilter:
         slides[:size], slides[-2] = slid * beyond, -slid
         starts[size : 2 * size] = self.first_speed_std * beyond
         # From an end that advances, rests or hides to one that does, by row.
-        seen = (1 - hides) * np.array([[1 - stops, pushes], [stops, 1 - pushes]])
-        ways = np.block([[seen, np.array([[shows], [0.0]])], [hides, hides, 1 - shows]])
+        ways = np.array(
+            [[1 - stops, pushes, shows], [stops, 1 - pushes, 0.0], [hides, hides, 1 - shows]]
+        )
+        ways[:2, :2] *= 1 - hides
         T = np.array([[same, same, show], [stop, same, same], [hide, same, same]])
         drift = np.zeros((3, 3, len(same)))
         drift[0, 1], drift[2, 1:] = starts, slides
@@ -399,7 +402,7 @@ class InteractingFilter:
 
 def _beyond(axis: Floats, size: int) -> Floats:
     """Return the (3n,) displacements of control points for 1 m of the last along an axis."""
-    return np.asarray(np.kron(np.linspace(0, 1, size // 3), axis), dtype=np.float64)
+    return np.outer(np.linspace(0, 1, size // 3), axis).ravel()
 
 
 def _beyond_end(means: Floats, covariances: Floats) -> Floats:

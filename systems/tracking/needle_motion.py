@@ -11,6 +11,8 @@ from sonoservo.systems.signals.requirements import (
     NotNegative,
 )
 
+Floats = float | NDArray[np.float64]
+
 
 @dataclass(kw_only=True)
 class NeedleMotionParameters(Bounded):
@@ -34,15 +36,17 @@ class NeedleMotionParameters(Bounded):
 
     def density(self, curve: NeedleCurve) -> NDArray[np.float64]:
         """Return the (3n, 3n) spectral density of the stacked control points' acceleration."""
-        n = curve.order
-        u = np.linspace(0, 1, n)
-        k = curve.direction
-        # By points and coordinates, (n, 3, n, 3): a Kronecker product without its overhead.
-        along = np.multiply.outer(u, k)
-        density = self.insertion * np.multiply.outer(along, along)
-        density += self.body * np.eye(3)[:, np.newaxis]
-        flat = density.reshape(3 * n, 3 * n)
-        return np.asarray(flat + self.bending * np.eye(3 * n))
+        return acceleration_density(curve, self.insertion, self.body, self.bending)
+
+
+def acceleration_density(
+    curve: NeedleCurve, insertion: Floats, body: Floats, bending: Floats
+) -> NDArray[np.float64]:
+    """Return the density as `NeedleMotionParameters.density`, or (m, 3n, 3n) for (m, 1, 1) each."""
+    n = curve.order
+    along = np.outer(np.linspace(0, 1, n), curve.direction).ravel()
+    density = insertion * np.outer(along, along) + body * np.tile(np.eye(3), (n, n))
+    return np.asarray(density + bending * np.eye(3 * n))
 
 
 def constant_velocity(
@@ -50,14 +54,15 @@ def constant_velocity(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return transition A and noise Q of a constant-velocity model (Chatelain 2013, eqs. 8, 6).
 
-    ``density`` is that of the white acceleration; the velocity falls to 1/e in ``fades`` s.
+    ``density`` is that of the white acceleration, or the densities of several models, each with
+    a noise of its own; the velocity falls to 1/e in ``fades`` s.
     """
-    d = len(density)
+    d = density.shape[-1]
     A: NDArray[np.float64] = np.eye(2 * d)
     kept = np.exp(-dt / fades)
     A[:d, d:] = (dt if kept == 1 else fades * (1 - kept)) * np.eye(d)
     A[d:, d:] = kept * np.eye(d)
-    Q: NDArray[np.float64] = np.empty((2 * d, 2 * d))
-    Q[:d, :d], Q[d:, d:] = dt**3 / 3 * density, dt * density
-    Q[:d, d:] = Q[d:, :d] = dt**2 / 2 * density
+    Q: NDArray[np.float64] = np.empty((*density.shape[:-2], 2 * d, 2 * d))
+    Q[..., :d, :d], Q[..., d:, d:] = dt**3 / 3 * density, dt * density
+    Q[..., :d, d:] = Q[..., d:, :d] = dt**2 / 2 * density
     return A, Q

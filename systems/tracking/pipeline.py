@@ -84,12 +84,12 @@ def explain_localization(
         )
     else:
         region = predicted_region(prediction, parameters)
-        attempts = [localize_in_region(volume, region, parameters, rng)]
+        attempts = localize_in_region(volume, region, parameters, rng)
         limited = parameters.volume_of_interest and parameters.angle_gate
         if not attempts[-1].measurement and limited:
             narrow = narrow_region(region, parameters)
             surer = replace(parameters, min_evidence=_SURER * parameters.min_evidence)
-            attempts.append(localize_in_region(volume, narrow, surer, rng))
+            attempts += localize_in_region(volume, narrow, surer, rng)
         measurement = attempts[-1].measurement
     return LocalizationExplanation(
         volume.time, prediction, tuple(attempts), measurement, probability
@@ -144,7 +144,7 @@ def _localize_along(
     The beam makes a short needle look thick, so its axis varies with the random draws.
     """
     region = line_region(line, parameters)
-    attempts = [localize_in_region(volume, region, parameters, rng) for _ in range(_REPEATS)]
+    attempts = localize_in_region(volume, region, parameters, rng, _REPEATS)
     return attempts, _middlemost([each.measurement for each in attempts])
 
 

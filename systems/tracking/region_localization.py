@@ -22,7 +22,7 @@ from sonoservo.systems.tracking.axis import axis_through
 from sonoservo.systems.tracking.axis_fit import AxisFit, fit_axis
 from sonoservo.systems.tracking.candidates import select_candidates
 from sonoservo.systems.tracking.localizer_parameters import NeedleLocalizerParameters
-from sonoservo.systems.tracking.ransac import ransac_axis
+from sonoservo.systems.tracking.ransac import RansacResult, ransac_axis
 from sonoservo.systems.tracking.search_region import (
     EVERYWHERE,
     turns_too_far,
@@ -52,27 +52,14 @@ def localize_in_region(
     region: SearchRegion,
     parameters: NeedleLocalizerParameters,
     rng: np.random.Generator,
-) -> LocalizationAttempt:
-    """Localize the needle in a region of a volume; ``rng`` draws the samples."""
-    looked: dict[str, Any] = {}
+    times: int = 1,
+) -> list[LocalizationAttempt]:
+    """Localize the needle in a region of a volume, once or more; ``rng`` draws the samples."""
     try:
-        result: NeedleMeasurement | NotFound = _attempt(volume, region, parameters, rng, looked)
+        points, weights = _candidates(volume, region, parameters)
     except _AbsentError as absent:
-        result = NotFound(absent.args[0])
-    return LocalizationAttempt(region, result, **looked)
-
-
-def _attempt(
-    volume: Volume,
-    region: SearchRegion,
-    parameters: NeedleLocalizerParameters,
-    rng: np.random.Generator,
-    looked: dict[str, Any],
-) -> NeedleMeasurement:
-    """Localize the needle in a region, and store the intermediate results in ``looked``."""
-    points, weights = _candidates(volume, region, parameters)
-    looked.update(candidates=points, weights=weights)
-    consensus = _expect(
+        return times * [LocalizationAttempt(region, NotFound(absent.args[0]))]
+    found = [
         ransac_axis(
             points,
             weights,
@@ -82,9 +69,52 @@ def _attempt(
             direction=region.curve.direction,
             max_angle=region.max_angle,
         )
-    )
+        for _ in range(times)
+    ]
+    attempts: list[LocalizationAttempt] = []
+    for each in found:
+        # Many samples lead to the same axis, along which nothing else would be found.
+        again = [
+            tried for other, tried in zip(found, attempts, strict=False) if _same_axis(each, other)
+        ]
+        looked: dict[str, Any] = {"candidates": points, "weights": weights}
+        attempts += again[:1] or [_attempt(volume, region, parameters, each, looked)]
+    return attempts
+
+
+def _same_axis(a: RansacResult | NotFound, b: RansacResult | NotFound) -> bool:
+    if isinstance(a, NotFound) or isinstance(b, NotFound):
+        return False
+    return np.array_equal(a.fit.axis.coefficients, b.fit.axis.coefficients)
+
+
+def _attempt(
+    volume: Volume,
+    region: SearchRegion,
+    parameters: NeedleLocalizerParameters,
+    consensus: RansacResult | NotFound,
+    looked: dict[str, Any],
+) -> LocalizationAttempt:
+    """Return the attempt that goes on from a consensus, with what was ``looked`` at so far."""
+    try:
+        result: NeedleMeasurement | NotFound = _measure(
+            volume, region, parameters, _expect(consensus), looked
+        )
+    except _AbsentError as absent:
+        result = NotFound(absent.args[0])
+    return LocalizationAttempt(region, result, **looked)
+
+
+def _measure(
+    volume: Volume,
+    region: SearchRegion,
+    parameters: NeedleLocalizerParameters,
+    consensus: RansacResult,
+    looked: dict[str, Any],
+) -> NeedleMeasurement:
+    """Measure the needle near a consensus, and store the intermediate results in ``looked``."""
+    points, weights, rough = looked["candidates"], looked["weights"], consensus.fit
     looked.update(inliers=consensus.inliers)
-    rough = consensus.fit
     extent = _extent(volume, region, parameters, rough, looked)
     fit = _refit(points, weights, parameters, rough, extent)
     extent = _extent(volume, region, parameters, fit, looked)
@@ -214,12 +244,12 @@ def _judge(
     covariance = (
         fit.covariance(a, independent)
         + np.kron(along, np.outer(k, k))
-        + parameters.echo_offset_std**2 * np.kron(np.ones((order, order)), np.outer(deeper, deeper))
+        + parameters.echo_offset_std**2 * np.tile(np.outer(deeper, deeper), (order, order))
         + parameters.systematic_std**2 * np.eye(3 * len(u))
     )
     # Sound is faster or slower than the scanner assumes, so all depths are off by the same factor.
     depths = acquired_from(volume, curve.control_points)[:, 1]
-    stretched = _SOUND_SPEED * np.kron(depths, volume.X_WP.rotation().matrix()[:, 1])
+    stretched = _SOUND_SPEED * np.outer(depths, volume.X_WP.rotation().matrix()[:, 1]).ravel()
     common = np.outer(stretched, stretched)
     common[-3:, -3:] += extent.bevel_std**2 * np.outer(k, k)
     time = float(volume.to_world(acquired_from(volume, curve.control_points[-1:]))[1][0])

@@ -11,6 +11,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.special import ndtr
 
 from sonoservo.systems.sampling.interpolation import flagged, trilinear
+from sonoservo.systems.sampling.kernels import OPTIONS
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.localization_explanation import AxisProfile, NeedleExtent
 from sonoservo.systems.signals.point_spread import FWHM_PER_SIGMA
@@ -71,6 +72,13 @@ _EMPTY = 15.0
 _TYPICAL_WIDTH = 2e-3
 """Width of a beam in m where there is no speckle from which it could be measured."""
 
+_RING, _HEXAGON = (
+    np.array([[np.cos(t), np.sin(t)] for t in np.arange(n) * np.pi / (n // 2)]) for n in (8, 6)
+)
+_HALF = 0.5 * _HEXAGON @ np.array([[0.866, 0.5], [-0.5, 0.866]])
+_DISC = np.vstack([np.zeros((1, 2)), _HALF, _HEXAGON])
+"""Points of the unit circle, and of the disc in it, at which levels are taken."""
+
 
 @dataclass(kw_only=True)
 class TipParameters:
@@ -115,23 +123,41 @@ class TipParameters:
             require_positive(beam_width=self.beam_width)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _tube_maxima(  # pragma: no cover - compiled
-    intensities: Any, seen: Any, origin: Any, spacing: Any, centres: Any, offsets: Any
+@njit(**OPTIONS)
+def _levels(  # pragma: no cover - compiled
+    intensities: Any, seen: Any, origin: Any, spacing: Any, p_P: Any, tubes: Any, disc: Any
 ) -> Any:
-    """Return the largest sample among `offsets` around each of (m, 3) centres; -1 if unseen."""
+    """Return the largest samples around (m, 3) positions, -1 if unseen, and the medians beside.
+
+    The first of the ``tubes`` is around the positions themselves.
+    """
     nx, ny, nz = intensities.shape
-    maxima = np.full(centres.shape[0], -1.0)
-    for m in range(centres.shape[0]):
-        for q in range(offsets.shape[0]):
-            x = (centres[m, 0] + offsets[q, 0] - origin[0]) / spacing[0]
-            y = (centres[m, 1] + offsets[q, 1] - origin[1]) / spacing[1]
-            z = (centres[m, 2] + offsets[q, 2] - origin[2]) / spacing[2]
-            if not (0 <= x <= nx - 1 and 0 <= y <= ny - 1 and 0 <= z <= nz - 1):
-                continue
-            if flagged(seen, x, y, z):
-                maxima[m] = max(maxima[m], trilinear(intensities, x, y, z))
-    return maxima
+    level, background, beside = np.empty(len(p_P)), np.zeros(len(p_P)), np.empty(len(tubes))
+    for m in range(len(p_P)):
+        count = 0
+        for n in range(len(tubes)):
+            largest = -1.0
+            for q in range(len(disc)):
+                x = (p_P[m, 0] + tubes[n, 0] + disc[q, 0] - origin[0]) / spacing[0]
+                y = (p_P[m, 1] + tubes[n, 1] + disc[q, 1] - origin[1]) / spacing[1]
+                z = (p_P[m, 2] + tubes[n, 2] + disc[q, 2] - origin[2]) / spacing[2]
+                if not (0 <= x <= nx - 1 and 0 <= y <= ny - 1 and 0 <= z <= nz - 1):
+                    continue
+                value = trilinear(intensities, x, y, z)
+                if value > largest and flagged(seen, x, y, z):
+                    largest = value
+            if n == 0:
+                level[m] = largest
+            elif largest >= 0:  # Positions outside the sector say nothing about the background.
+                at = count
+                while at > 0 and beside[at - 1] > largest:
+                    beside[at] = beside[at - 1]
+                    at -= 1
+                beside[at] = largest
+                count += 1
+        if count > 0:
+            background[m] = (beside[(count - 1) // 2] + beside[count // 2]) / 2
+    return level, background
 
 
 def axis_profile(
@@ -144,32 +170,24 @@ def axis_profile(
     # One plane across the needle serves all points, as the curve bends little.
     along = volume.X_WP.rotation().matrix().T @ axis.direction
     across = np.linalg.svd(along[np.newaxis])[2][1:]
-    hexagon = np.array([[np.cos(t), np.sin(t)] for t in np.arange(6) * np.pi / 3])
-    half = 0.5 * hexagon @ np.array([[0.866, 0.5], [-0.5, 0.866]])
-    disc = parameters.tube_radius * np.vstack([np.zeros((1, 2)), half, hexagon]) @ across
-    octagon = np.array([[np.cos(t), np.sin(t)] for t in np.arange(8) * np.pi / 4])
-    ring = parameters.background_radius * octagon @ across
-    centres = np.concatenate([p_P[np.newaxis], p_P + ring[:, np.newaxis]])
-    maxima = _tube_maxima(
+    level, background = _levels(
         volume.intensities,
         volume.seen,
         volume.origin,
         volume.spacing,
-        centres.reshape(-1, 3),
-        disc,
-    ).reshape(len(centres), len(a))
+        p_P,
+        np.vstack([np.zeros(3), parameters.background_radius * _RING @ across]),
+        parameters.tube_radius * _DISC @ across,
+    )
     inside = np.all((p_P >= volume.origin) & (p_P <= volume.upper), axis=1)
     if volume.motion is not None:
         inside &= volume.motion.geometry.contains(p_P)
-    # Positions beside the axis that fall outside the sector say nothing about the background.
-    beside = np.where(maxima[1:] >= 0, maxima[1:], np.nan)
-    beside[0, np.all(np.isnan(beside), axis=0)] = 0.0
     return AxisProfile(
         a,
         p_W,
-        maxima[0].clip(0) * volume.decibels_per_level,
-        np.nanmedian(beside, axis=0) * volume.decibels_per_level,
-        inside & (maxima[0] >= 0),
+        level.clip(0) * volume.decibels_per_level,
+        background * volume.decibels_per_level,
+        inside & (level >= 0),
         needle_blur(volume, p_P, along, parameters.beam_width),
         parameters.contrast,
         np.arcsin(np.clip(np.abs(sound_directions(volume, p_P) @ along), 0, 1)),
@@ -224,12 +242,10 @@ def find_extent(profile: AxisProfile, parameters: TipParameters) -> NeedleExtent
     cases = [(nothing, nothing, 1.0)]
     if profile.before is not None and profile.looks is not None:
         cases = [(nothing, nothing, _MOVES), (profile.before, profile.looks, 1 - _MOVES)]
-    logs, beyond = np.zeros((len(cases), len(contrast))), np.zeros(len(cases))
-    for number, (before, looks, prior) in enumerate(cases):
-        tissue = _tissue(before, looks)
-        ends, past, tops = _end_logs(contrast, profile.seen, tissue, share, sigma, step, first)
-        logs[number], beyond[number] = ends + math.log(prior), past + math.log(prior)
-    weights, rests = _end_weights(profile.a, first, logs, beyond)
+    tissue = np.array([_tissue(before, looks) for before, looks, _ in cases])
+    priors = np.array([math.log(prior) for _, _, prior in cases])
+    logs, beyond, tops = _end_logs(contrast, profile.seen, tissue, share, sigma, step, first)
+    weights, rests = _end_weights(profile.a, first, logs + priors[:, np.newaxis], beyond + priors)
     passed = np.interp(profile.a - 3 * sigma, profile.a, np.cumsum(weights.sum(axis=0)))
     places = _places(profile.a, weights.sum(axis=0), rests.sum())
     seen, tip, std = places[0]
@@ -285,18 +301,18 @@ def _tissue(before: NDArray[np.float64], looks: NDArray[np.float64]) -> NDArray[
     return np.stack([mean, std, 1 - gain], axis=1)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**OPTIONS)
 def _flicker(level: Any) -> Any:
     """Return by how much more the contrast of what has a level in dB deviates, in dB."""
     return _SPREAD * np.minimum(np.maximum(level, 0.0), 16.0)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**OPTIONS)
 def _log_density(contrast: float, mean: float, std: float) -> float:  # pragma: no cover
     return -0.5 * ((contrast - mean) / std) ** 2 - math.log(std)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**OPTIONS)
 def _needle_logs(  # pragma: no cover - compiled
     contrast: Any, seen: Any, tissue: Any, share: Any, step: float, first: int
 ) -> Any:
@@ -336,7 +352,7 @@ def _needle_logs(  # pragma: no cover - compiled
     return logs
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**OPTIONS)
 def _tissue_logs(  # pragma: no cover - compiled
     contrast: Any, seen: Any, tissue: Any, share: Any, step: float
 ) -> Any:
@@ -353,32 +369,34 @@ def _tissue_logs(  # pragma: no cover - compiled
     return logs
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**OPTIONS)
 def _log_mean(a: float, b: float, share: float) -> float:  # pragma: no cover - compiled
     """Return the logarithm of the mean of two numbers, given theirs and the share of the first."""
     top = max(a, b)
     return top + math.log(share * math.exp(a - top) + (1 - share) * math.exp(b - top))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**OPTIONS)
 def _mirror_share(top: float) -> float:  # pragma: no cover - compiled
     """Return the share to which an end with a contrast in dB before it mirrors sound."""
     return min(max((top - _MIRROR[0]) / (_MIRROR[1] - _MIRROR[0]), 0.0), 1.0)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**OPTIONS)
 def _end_logs(  # pragma: no cover - compiled
     contrast: Any, seen: Any, tissue: Any, share: Any, sigma: Any, step: float, first: int
 ) -> Any:
     """Return log likelihoods of a needle that ends at each sample, or beyond, and contrasts.
 
-    All are (m,). ``share`` is the evidence of a sample in beam widths, and ``sigma`` the standard
-    deviation of the blurred end in m. The contrasts in dB are those shortly before each end.
+    They are (c, m), (c,) and (m,), for (c, m, 3) properties of the ``tissue`` in c cases. ``share``
+    is the evidence of a sample in beam widths, and ``sigma`` the standard deviation of the blurred
+    end in m. The contrasts in dB are those shortly before each end.
     """
-    m, gap = len(contrast), int(_BEFORE / step)
-    needle = _needle_logs(contrast, seen, tissue, share, step, first)
-    beyond = _tissue_logs(contrast, seen, tissue, share, step)
-    logs, tops = np.full(m, -np.inf), np.zeros(m)
+    m, gap, cases = len(contrast), int(_BEFORE / step), range(len(tissue))
+    needle = [_needle_logs(contrast, seen, each, share, step, first) for each in tissue]
+    beyond = [_tissue_logs(contrast, seen, each, share, step) for each in tissue]
+    there = 10 ** (tissue[:, :, 0] / 10)
+    logs, tops = np.full((len(tissue), m), -np.inf), np.zeros(m)
     for t in range(first + 2 * gap, m):
         tops[t] = contrast[max(t - 4 * gap, first) : max(t - gap, first + 1)].mean()
         # A bevel tapers, so what ends is the level within a beam's width of the end.
@@ -387,19 +405,21 @@ def _end_logs(  # pragma: no cover - compiled
         mirror = _mirror_share(top)
         begin, end = t - int(sigma[t] / step), min(t + int(3 * sigma[t] / step), m - 1)
         begin = max(begin, first)
-        log = needle[begin] + beyond[end + 1]
+        for n in cases:
+            logs[n, t] = needle[n][begin] + beyond[n][end + 1]
         for b in range(begin, end + 1):
             if seen[b]:
                 # Of points in phase the amplitudes add up, of others the intensities.
-                x = (b - t) * step / sigma[t]
-                amplitude = math.log(max(0.5 * math.erfc(x / math.sqrt(2)), 1e-9))
-                intensity = 0.5 * math.log(max(0.5 * math.erfc(x), 1e-9))
-                drop = mirror * amplitude + (1 - mirror) * intensity
-                there = 10 ** (tissue[b, 0] / 10)
-                left = 10 * math.log10(there + 10 ** (top / 10) * math.exp(2 * drop))
-                log += share[b] * _log_density(contrast[b], left, tissue[b, 1])
-        logs[t] = log
-    return logs, needle[m], tops
+                x, drop = (b - t) * step / sigma[t], 0.0
+                if mirror > 0:
+                    drop += mirror * math.log(max(0.5 * math.erfc(x / math.sqrt(2)), 1e-9))
+                if mirror < 1:
+                    drop += (1 - mirror) * (0.5 * math.log(max(0.5 * math.erfc(x), 1e-9)))
+                shine = 10 ** (top / 10) * math.exp(2 * drop)
+                for n in cases:
+                    left = 10 * math.log10(there[n, b] + shine)
+                    logs[n, t] += share[b] * _log_density(contrast[b], left, tissue[n, b, 1])
+    return logs, np.array([each[m] for each in needle]), tops
 
 
 def _end_weights(

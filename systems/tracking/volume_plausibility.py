@@ -91,7 +91,7 @@ def implausible(
     """
     if not np.isfinite(volume.X_WP.GetAsMatrix34()).all():
         return "its pose is not a number"
-    sample = volume.intensities[::_STRIDE, ::_STRIDE, ::_STRIDE]
+    sample = volume.intensities[::_STRIDE, ::_STRIDE, ::_STRIDE].copy()
     if sample.min() == sample.max() and volume.intensities.min() == volume.intensities.max():
         return "it is blank: all its voxels are equal"
     if sample.max() <= 1 and volume.intensities.max() <= 1:
@@ -132,24 +132,24 @@ def mirrored_axis(volume: Volume, last: Volume, threshold: float) -> str:
     if volume.intensities.shape != last.intensities.shape or threshold >= 1:
         return ""
     now, before = _texture(volume), _texture(last)
-    size = math.sqrt(int(np.vdot(now, now)) * int(np.vdot(before, before)))
+    size = math.sqrt(np.vdot(now, now) * np.vdot(before, before))
     if size == 0:
         return ""
-    least = max(0.0, int(np.vdot(now, before)) / size) + threshold
+    least = max(0.0, float(np.vdot(now, before)) / size) + threshold
     for axis, mirrored in (("X", before[::-1]), ("Z", before[..., ::-1])):
-        if int(np.vdot(now, mirrored)) / size > least:
+        if np.vdot(now, mirrored) / size > least:
             return axis
     return ""
 
 
-def _texture(volume: Volume) -> NDArray[np.int64]:
+def _texture(volume: Volume) -> NDArray[np.float64]:
     """Return every `_STRIDE`-th voxel less the mean of its depth; symmetric about the middle.
 
     In whole grey levels, whose sums are exact.
     """
     nx, _, nz = volume.intensities.shape
     x, z = (np.unique(np.r_[i := np.arange(0, n // 2, _STRIDE), n - 1 - i]) for n in (nx, nz))
-    sample, seen = (each[x][:, ::_STRIDE][..., z] for each in (volume.intensities, volume.seen))
-    sample = sample.astype(np.int64)
+    sample, seen = (each[:, ::_STRIDE][x][..., z] for each in (volume.intensities, volume.seen))
+    sample = np.trunc(sample, dtype=np.float64)
     mean = sample.sum(axis=(0, 2)) // np.maximum(seen.sum(axis=(0, 2)), 1)
     return np.where(seen, sample - mean[:, np.newaxis], 0)
