@@ -36,10 +36,10 @@ def _voxels_near(  # pragma: no cover - compiled
     _, ny, nz = intensities.shape
     (ox, oy, oz), (sx, sy, sz) = origin, spacing
     (ax, ay, az), (kx, ky, kz) = axis_origin, direction
-    c = np.zeros((3, 3))
+    c = np.zeros((4, 3))
     for n in range(len(coefficients)):
         c[n, 0], c[n, 1], c[n, 2] = coefficients[n]
-    (bx, by, bz), (cx, cy, cz), (dx, dy, dz) = c
+    (bx, by, bz), (cx, cy, cz), (dx, dy, dz), (fx, fy, fz) = c
     # Each voxel is written, and the next one over it unless it counts: no branch stops SIMD.
     size = (upper[0] - lower[0]) * (upper[1] - lower[1]) * (upper[2] - lower[2])
     index, abscissa = np.empty(size + 1, np.int64), np.empty(size + 1)
@@ -52,9 +52,9 @@ def _voxels_near(  # pragma: no cover - compiled
             for k in range(lower[2], upper[2]):
                 z = oz + sz * k
                 a = base + (z - az) * kz
-                ex = x - bx - cx * a - dx * (a * a)
-                ey = y - by - cy * a - dy * (a * a)
-                ez = z - bz - cz * a - dz * (a * a)
+                ex = x - bx - cx * a - dx * (a * a) - fx * (a * a * a)
+                ey = y - by - cy * a - dy * (a * a) - fy * (a * a * a)
+                ez = z - bz - cz * a - dz * (a * a) - fz * (a * a * a)
                 near = (a >= start) & (a < stop) & (ex * ex + ey * ey + ez * ez <= radius * radius)
                 index[found], abscissa[found] = (i * ny + j) * nz + k, a
                 # Where nothing echoes does not count, whether it was seen or not.
