@@ -263,7 +263,8 @@ def find_extent(profile: AxisProfile, parameters: TipParameters) -> NeedleExtent
     # bevel, which is hidden; another is echogenic to its very point.
     mirror = _mirror_share(tops[at])
     rough = 1 - mirror
-    dull = mirror * _unseen(float((contrast - law)[first:at].mean()), 0.0, parameters.contrast)
+    elsewhere = float((contrast - law)[first : at + 1].mean())
+    dull = mirror * _unseen(elsewhere, 0.0, parameters.contrast)
     bevel = (rough * echogenic / 2 + dull) * parameters.bevel_length / 2
     # Outside the tissue nothing scatters, so a needle that enters it in view comes from nowhere.
     empty = around < np.median(around[first : last + 1]) - _EMPTY
