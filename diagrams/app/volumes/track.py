@@ -38,7 +38,7 @@ from sonoservo.systems.evaluation.reports.track_plots import (
     plot_planes,
     plot_tip,
 )
-from sonoservo.systems.evaluation.reports.verdict import found_words, recording_verdict
+from sonoservo.systems.evaluation.reports.verdict import found_words, pose_lines, recording_verdict
 from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.evaluation.run_logger import visible_length
 from sonoservo.systems.files.refusals import ConfigurationError
@@ -85,7 +85,8 @@ class TrackedRecording(RunResult):
             return str(self.verdict)
         lengths = [each for each in self.in_view if np.isfinite(each)]
         beside = ", outside what the volumes show" if lengths and lengths[-1] == 0 else ""
-        return f"{found_words(self.rows, self.summary['frame'])}{beside}."
+        found = f"{found_words(self.rows, self.summary['frame'])}{beside}."
+        return " ".join([found, *pose_lines(self.summary)])
 
     def __str__(self) -> str:
         return table_text(mode_table(self.summary))

@@ -35,7 +35,8 @@ _PAGE_COLOURS = {
     "force": FORCE, "cross-section": CROSS_SECTION,
 }  # fmt: skip
 LINE_COLOURS = {
-    "needle": _COLOURS["tracking"], "resting": _FIRST, "riding": "#25cf97", "appeared": "#d98cc4",
+    "needle": _COLOURS["tracking"], "resting": "#aab2bd", "riding": "#25cf97",
+    "appeared": "#d98cc4",
 }  # fmt: skip
 """Colours of the lines that are followed, by their class."""
 

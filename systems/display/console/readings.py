@@ -14,7 +14,7 @@ from sonoservo.systems.control.visual_features import needle_features
 from sonoservo.systems.display.console.slices import SlicePicture, line_classes
 from sonoservo.systems.signals.line_hypotheses import LineHypotheses
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
-from sonoservo.systems.signals.search_reason import Reader, SearchReason, advice
+from sonoservo.systems.signals.search_reason import LONGER, Reader, SearchReason, advice
 
 Floats = NDArray[np.float64]
 
@@ -148,7 +148,9 @@ def describe_state(sample: Sample | None) -> dict[str, str]:
             detail = reason.words
             recorded = math.isnan(sample.inserted)
             if recorded or sample.inserted > 0:  # else there is nothing to be found
-                said = advice(reason.remedies, Reader.RECORDING if recorded else Reader.OPERATOR)
+                # A run that goes on gets longer by itself.
+                remedies = [each for each in reason.remedies if recorded or each is not LONGER]
+                said = advice(remedies, Reader.RECORDING if recorded else Reader.OPERATOR)
     return {"kind": kind, "word": kind, "detail": detail, "advice": said}
 
 

@@ -184,7 +184,7 @@ def _outline(
 _NAMES = ("X, along the array", "Y, along the sound", "Z, from frame to frame")
 _VIEWS = ((0, 1), (2, 1), (0, 2))  # axes of P that run to the right and downwards in each picture
 
-_BODY = (("up (S)", (0, 0, 1)), ("left (L)", (1, 0, 0)), ("back (P)", (0, 1, 0)))
+_BODY = (("head (S)", (0, 0, 1)), ("left (L)", (1, 0, 0)), ("back (P)", (0, 1, 0)))
 """Directions of the body in LPS."""
 
 _IN_PLANE = 0.6  # part of a direction that lies in a picture, from which it is drawn there
@@ -204,7 +204,7 @@ def orientation_sheet(volume: Volume, R_LP: RotationMatrix, *, caption: str = ""
         axes.set_xlabel(f"{_NAMES[right]}, mm")
         axes.set_ylabel(f"{_NAMES[down]}, mm")
         if down == 1:
-            axes.set_title("the probe is here, at the top")
+            axes.set_title("probe at the top")
         for name, direction in _BODY:
             part = (R_LP.matrix().T @ np.array(direction, float))[[right, down]]
             if np.linalg.norm(part) < _IN_PLANE:

@@ -76,10 +76,17 @@ def recording_verdict(summary: Mapping[str, Any], rows: Sequence[Mapping[str, An
     else:
         reasons = " ".join(reasons_lines(summary))
         verdict = Verdict(found_words(rows, summary["frame"]), reasons, "bad")
-    if not summary.get("interrupted"):
-        return verdict
-    text = f"It was interrupted after {counted(len(rows), 'volume')}. {verdict.text}"
+    text = " ".join([verdict.text, *pose_lines(summary)])
+    if summary.get("interrupted"):
+        text = f"It was interrupted after {counted(len(rows), 'volume')}. {text}"
     return replace(verdict, text=text)
+
+
+def pose_lines(summary: Mapping[str, Any]) -> list[str]:
+    """Return what is to be known about the poses of a recording; empty if it has them."""
+    if summary.get("poses", True):
+        return []
+    return ["The volumes have no poses: the probe counts as at rest."]
 
 
 def found_words(rows: Sequence[Mapping[str, Any]], frame: str) -> str:

@@ -77,6 +77,9 @@ def test_recordings_without_truth_have_a_verdict_too():
     )
     told |= {"frame": "LPS", "modes": {"searching": 3}, "interrupted": True}
     assert "It was interrupted after 3 volumes." in str(recording_verdict(told, rows))
+    assert str(recording_verdict({**told, "poses": False}, rows)).endswith(
+        "The volumes have no poses: the probe counts as at rest."
+    )
 
 
 def test_telling_volumes_are_detection_loss_worst_and_rest(insertion_log):
