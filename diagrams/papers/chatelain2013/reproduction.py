@@ -126,7 +126,7 @@ def direction_of_insertion(seed: int) -> list[str]:
 
 PROTOCOLS: Mapping[str, Protocol] = {
     "fig4": Protocol("chatelain2013_fig4", 30, (1, 16.0)),
-    "fig5": Protocol("chatelain2013_fig5", 30, (1, 23.0)),
+    "fig5": Protocol("chatelain2013_fig5", 50, (1, 23.0)),
     "fig6": Protocol("chatelain2013_fig6", 50, (1, 20.5)),
     "bent": Protocol(
         "chatelain2013_fig5", 20, (1, 12.0), ["tracker.order=3", *_SOONER], bent_insertion
