@@ -41,7 +41,7 @@ _ENTERING = 0.7
 """Probability that a needle is first seen at the outer end of the part of its line in view."""
 
 _SURE = 0.95
-"""Probability that the end of a needle lies before what is called beyond it."""
+"""Probability that the end of a needle has come no further than is called sure."""
 
 _LARGEST = 20.0
 """Largest logarithm of a bin's ratio; more would change nothing."""
@@ -148,9 +148,9 @@ def _stretches(factors: Any) -> Any:  # pragma: no cover - compiled
 def _advancing(  # pragma: no cover - compiled
     factors: Any, before: Any, beyond: Any, first: Any, moves: Any, start: Any, change: Any
 ) -> Any:
-    """Return the log of the summed probability of all ends that advance along a line, and the end.
+    """Return the log of the summed probability of all ends that advance along a line, and a bin.
 
-    The end is the number of bins that lie before it: of more, it is not `_SURE`.
+    The end has now surely come no further than to that bin's beginning.
 
     ``factors`` are (t, b) likelihood ratios by time of arrival, ``before``, ``beyond`` and
     ``first`` (b + 1,) by place of the end, and ``moves`` (t, m, d) probabilities of d bins at speed
@@ -266,7 +266,7 @@ def class_logs(
 ) -> tuple[Floats, NDArray[np.int64]]:
     """Return (n, 5) log evidence of each line: needle from either end, resting, riding, appeared.
 
-    The second array, (n, 2), counts the bins that a needle from either end has passed by now.
+    The second array, (n, 2), counts the bins that a needle from either end has passed at most.
 
     ``logs`` are as of `add_volume`, ``moves`` (t, m, d) are `advances` before each arrival, and
     ``passing`` (n, t) is the motion of the image along the line in bins.

@@ -160,7 +160,7 @@ class Lines:
     classes: Floats
     """(n, 6) log probabilities: needle from either end, resting, riding, appeared, nothing."""
     passed: NDArray[np.int64]
-    """(n, 2) numbers of bins that a needle from either end has passed."""
+    """(n, 2) numbers of bins that a needle from either end has passed at most."""
     prior: Floats
     """(n, 5) log priors of the classes but "appeared", before anything in ``logs``."""
     past: Floats
