@@ -8,7 +8,7 @@ import re
 import shlex
 import sys
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -354,26 +354,30 @@ def run_arguments(arguments: Sequence[str]) -> int:
 
 def _with_own_options(line: str, called: str) -> str:
     """Return a message in which an option that the called command lacks names one that has it."""
-    options = _options()
-    own = options.get(called.removesuffix("_command"))
-    if own is None:
+    called = called.removesuffix("_command")
+    if called not in _commands():
         return line
 
     def named(match: re.Match[str]) -> str:
-        others = [name for name in options if match[0] in options[name]]
-        foreign = match[0] not in own and others and "sonoservo " not in line[: match.start()]
+        others = _commands_with(match[0])
+        foreign = called not in others and others and "sonoservo " not in line[: match.start()]
         return f"`sonoservo {others[0]} {match[0]}`" if foreign else match[0]
 
     return re.sub(r"(?<![\w`-])--[a-z][a-z-]+", named, line)
 
 
-def _options() -> dict[str, set[str]]:
-    """Return the options of all commands."""
-    commands = get_command(app).commands  # type: ignore[attr-defined]
-    return {
-        name: {option for each in command.params for option in (*each.opts, *each.secondary_opts)}
-        for name, command in commands.items()
-    }
+def _commands() -> Mapping[str, Any]:
+    commands: Mapping[str, Any] = get_command(app).commands  # type: ignore[attr-defined]
+    return commands
+
+
+def _commands_with(option: str | None) -> list[str]:
+    """Return the names of the commands that have an option."""
+    return [
+        name
+        for name, command in _commands().items()
+        if any(option in (*each.opts, *each.secondary_opts) for each in command.params)
+    ]
 
 
 def _usage_line(error: Any) -> str:
@@ -388,11 +392,11 @@ def _usage_line(error: Any) -> str:
         return f"{line} `sonoservo --help` lists the commands and their options."
     command = context.command
     option = getattr(error, "option_name", None)
-    having = [f"`sonoservo {name}`" for name, options in _options().items() if option in options]
+    others = _commands_with(option)
     if option is not None and any("--set" in each.opts for each in command.params):
         line += " A scenario's fields are set by --set, such as --set duration=3."
-    elif having and f"`sonoservo {command.name}`" not in having:
-        line += f" It is an option of {', '.join(having)}."
+    elif others and command.name not in others:
+        line += f" It is an option of {', '.join(f'`sonoservo {each}`' for each in others)}."
     return f"{line} `sonoservo {command.name} --help` lists the options."
 
 

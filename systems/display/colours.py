@@ -6,13 +6,14 @@ a test checks this. The modes differ in lightness too. What is tracked has the c
 
 from collections.abc import Sequence
 
+from PIL import ImageColor
 from pydrake.geometry import Rgba
 
 from sonoservo.systems.signals import needle_colours
 from sonoservo.systems.signals.needle_estimate import TrackingMode
 
 TRUTH, ESTIMATE = (
-    tuple(each / 255 for each in needle_colours.red_green_blue(colour))
+    tuple(each / 255 for each in ImageColor.getrgb(colour))
     for colour in (needle_colours.TRUTH, needle_colours.ESTIMATE)
 )
 STEEL = (0.62, 0.65, 0.70)

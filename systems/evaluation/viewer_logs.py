@@ -10,14 +10,14 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
+from PIL import Image, ImageColor
 from pydrake.math import RotationMatrix
 
 from sonoservo.systems.evaluation.run_errors import features
 from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.files.refusals import ConfigurationError, require_extra
 from sonoservo.systems.signals.confidence import confidence_ellipsoid
-from sonoservo.systems.signals.needle_colours import ESTIMATE, TRUTH, red_green_blue
+from sonoservo.systems.signals.needle_colours import ESTIMATE, TRUTH
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
 from sonoservo.systems.signals.planes import sample_plane, slice_planes
 from sonoservo.systems.signals.volume import Volume
@@ -305,9 +305,9 @@ def write_run(log: ViewerLog, run: RunLog, surroundings: Surroundings) -> None:
         log.lines("arm", time[moving], surroundings.arm_points(joints[moving]), _QUIET)
     for number, position in enumerate(joints.T):
         log.scalars(f"joints/{number + 1}", time, position)
-    log.lines("needle/true", time, run.needle_points, red_green_blue(TRUTH))
+    log.lines("needle/true", time, run.needle_points, ImageColor.getrgb(TRUTH))
     estimated = np.stack([run.estimate_entry, run.estimate_tip], axis=1)
-    log.lines("needle/estimated", time, estimated, red_green_blue(ESTIMATE))
+    log.lines("needle/estimated", time, estimated, ImageColor.getrgb(ESTIMATE))
     log.ellipsoids(
         "needle/doubt", run.volume_seen, run.volume_estimate_tip, run.volume_estimate_tip_covariance
     )

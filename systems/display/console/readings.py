@@ -149,7 +149,7 @@ def describe_state(sample: Sample | None) -> dict[str, str]:
             recorded = math.isnan(sample.inserted)
             if recorded or sample.inserted > 0:  # else there is nothing to be found
                 # A run that goes on gets longer by itself.
-                remedies = [each for each in reason.remedies if recorded or each is not LONGER]
+                remedies = [each for each in reason.remedies if each is not LONGER]
                 said = advice(remedies, Reader.RECORDING if recorded else Reader.OPERATOR)
     return {"kind": kind, "word": kind, "detail": detail, "advice": said}
 

@@ -17,7 +17,7 @@ from sonoservo.systems.signals.needle_colours import ESTIMATE, TRUTH
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_estimate import TrackingMode
 
-TRUE, ESTIMATED, PREDICTED, MEASURED = TRUTH, ESTIMATE, "#00C08B", "#D779A7"
+PREDICTED, MEASURED = "#00C08B", "#D779A7"
 LINE = "#F0E442"
 _QUIET = "0.45"
 _ACROSS = {"beam": "along", "cross": "across"}
@@ -134,8 +134,8 @@ def _draw_slice(axes: Axes, explained: ExplainedVolume, name: str, needle: Array
     lines = [
         (show(_curve(points)), colour, style, label)
         for points, colour, style, label in (
-            (explained.before, ESTIMATED, ":", "estimate before"),
-            (explained.after, ESTIMATED, "-", "estimate after"),
+            (explained.before, ESTIMATE, ":", "estimate before"),
+            (explained.after, ESTIMATE, "-", "estimate after"),
             (explained.predicted, PREDICTED, "-.", "predicted needle"),
             (explained.measured, MEASURED, "-", "measured needle"),
             (most_probable, LINE, "-", "most probable line"),
@@ -149,8 +149,8 @@ def _draw_slice(axes: Axes, explained: ExplainedVolume, name: str, needle: Array
         _draw_tip(axes, explained, X_PS[:3, :2].T, show(explained.measured[-1:])[0])
     true = project(needle)
     if len(needle):
-        axes.plot(*true.T, color=TRUE, linestyle="--", linewidth=1.5, label="true needle (truth)")
-        axes.plot(*true[-1], marker="x", color=TRUE, markersize=8, markeredgewidth=1.8)
+        axes.plot(*true.T, color=TRUTH, linestyle="--", linewidth=1.5, label="true needle (truth)")
+        axes.plot(*true[-1], marker="x", color=TRUTH, markersize=8, markeredgewidth=1.8)
     drawn = np.concatenate([corners, *(line for line, *_ in lines), true])
     left, right, bottom, top = extent
     if through != "none" and len(drawn):
@@ -195,7 +195,7 @@ def _draw_profile(axes: Axes, explained: ExplainedVolume, needle: Array) -> None
         )  # fmt: skip
     if np.isfinite(explained.profile_before).any():
         axes.plot(
-            a, background + explained.profile_before, color=ESTIMATED, linestyle=":", linewidth=1.6,
+            a, background + explained.profile_before, color=ESTIMATE, linestyle=":", linewidth=1.6,
             label="before the needle came",
         )  # fmt: skip
     axes.fill_between(
@@ -213,7 +213,7 @@ def _draw_profile(axes: Axes, explained: ExplainedVolume, needle: Array) -> None
         edges.append(at + 1)
     if len(needle):
         at = _abscissa(a, 1e3 * explained.to_probe(explained.profile), 1e3 * needle[-1])
-        axes.axvline(at, color=TRUE, linestyle="--", linewidth=1.6, label="true tip (truth)")
+        axes.axvline(at, color=TRUTH, linestyle="--", linewidth=1.6, label="true tip (truth)")
         edges.append(at + 1)
     axes.set_xlim(min(edges), max(edges))
     axes.set_xlabel("distance along the axis, mm")
@@ -235,7 +235,7 @@ def _draw_classes(axes: Axes, explained: ExplainedVolume) -> None:
         )
     ]
     left = np.zeros(len(names))
-    colours = (MEASURED, "0.35", PREDICTED, ESTIMATED, "0.85")
+    colours = (MEASURED, "0.35", PREDICTED, ESTIMATE, "0.85")
     for each, share, colour in zip(LINE_CLASSES, explained.line_classes.T, colours, strict=True):
         axes.barh(names, share, left=left, color=colour, label=each)
         left = left + share
@@ -275,7 +275,7 @@ def _draw_history(axes: Axes, explained: ExplainedVolume, needle: Array) -> None
         k = (last - first) / np.linalg.norm(last - first)
         away = 1e3 * needle[-1] - first
         at = float(away @ k)
-        axes.plot(now, at, marker="x", color=TRUE, markersize=9, markeredgewidth=2,
+        axes.plot(now, at, marker="x", color=TRUTH, markersize=9, markeredgewidth=2,
                   linestyle="", label=f"true tip (truth), {np.linalg.norm(away - at * k):.0f} mm "
                   "beside the line")  # fmt: skip
         edges.append(at)
