@@ -129,10 +129,10 @@ PROTOCOLS: Mapping[str, Protocol] = {
     "fig5": Protocol("chatelain2013_fig5", 50, (1, 23.0)),
     "fig6": Protocol("chatelain2013_fig6", 50, (1, 20.5)),
     "bent": Protocol(
-        "chatelain2013_fig5", 20, (1, 12.0), ["tracker.order=3", *_SOONER], bent_insertion
+        "chatelain2013_fig5", 50, (1, 12.0), ["tracker.order=3", *_SOONER], bent_insertion
     ),
     "directions": Protocol(
-        "chatelain2013_fig5", 6, (1, 12.0), _SOONER, drawn=direction_of_insertion
+        "chatelain2013_fig5", 10, (1, 12.0), _SOONER, drawn=direction_of_insertion
     ),
     **{
         f"settings, {name}": Protocol("chatelain2013_fig4", 10, (1, 8.5), [*_ONE_PUSH, *changes])
@@ -155,7 +155,7 @@ PROTOCOLS: Mapping[str, Protocol] = {
     **{
         f"fig5, {name}": Protocol(
             "chatelain2013_fig5",
-            10,
+            20,
             # The lag shows after the last push.
             {"no feed-forward": (1, 19.5), "no filter": (1, 9.0)}.get(name, (0, 9.0)),
             [*_SOONER, *changes],
