@@ -2,6 +2,7 @@
 
 import re
 import tempfile
+import weakref
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -462,15 +463,19 @@ def _after_lines(path: Path, offset: int, lines: int) -> int:
 
 def _turned_round(data: DataSections, voxels: int, count: int, itemsize: int) -> DataSections:
     """Copy data whose list axis varies fastest to a temporary file in which it varies slowest."""
-    with tempfile.NamedTemporaryFile(prefix="sonoservo-") as file:
-        step = max(1, _BLOCK // (count * itemsize))
-        for first in range(0, voxels, step):
-            number = min(step, voxels - first)
-            size = count * itemsize
-            block = np.frombuffer(data.read(first * size, number * size), f"V{itemsize}")
-            for k, column in enumerate(block.reshape(number, count).T):
-                file.seek((k * voxels + first) * itemsize)
-                file.write(column.tobytes())
-        file.flush()
-        # The open file remains readable after its name is removed.
-        return DataSections([DataSection(Path(file.name), 0, voxels * size)], voxels * size)
+    file = tempfile.NamedTemporaryFile(prefix="sonoservo-")  # noqa: SIM115
+    size = voxels * itemsize
+    file.truncate(count * size)
+    turned = DataSections([DataSection(Path(file.name), 0, count * size)], count * size)
+    weakref.finalize(turned, file.close)
+    step = max(1, _BLOCK // (count * itemsize))
+    for first in range(0, voxels, step):
+        number = min(step, voxels - first)
+        block = np.frombuffer(
+            data.read(first * count * itemsize, number * count * itemsize), f"V{itemsize}"
+        )
+        for k, column in enumerate(block.reshape(number, count).T):
+            file.seek(k * size + first * itemsize)
+            file.write(column.tobytes())
+    file.flush()
+    return turned

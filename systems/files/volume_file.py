@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -201,25 +201,27 @@ class DataSection:
                 + (" compressed bytes" if compressed else "")
             )
         self.surplus = 0 if compressed else max(present - size, 0)
-        self._file = path.open("rb")
         self._rewind()
 
     def read(self, start: int, size: int) -> bytes:
         """Return ``size`` bytes from ``start`` on; reading forwards is fast."""
         first = start + self._skip
-        with refusing_failures(self._path, "damaged or truncated"):
+        # Opened for each read: a series may have more files than a process may hold open.
+        with refusing_failures(self._path, "damaged or truncated"), self._path.open("rb") as file:
             if not self._compressed:
-                self._file.seek(self._offset + first)
-                data = self._file.read(size)
+                file.seek(self._offset + first)
+                data = file.read(size)
             else:
                 if first < self._position:
                     self._rewind()
+                file.seek(self._next)
                 while self._position < first:
-                    if not self._inflate(min(first - self._position, _PIECE)):
+                    if not self._inflate(file, min(first - self._position, _PIECE)):
                         break
-                data = self._inflate(size)
+                data = self._inflate(file, size)
                 if self._position == self._size + self._skip:
-                    self._inflate(1)  # the checksum follows the last byte
+                    self._inflate(file, 1)  # the checksum follows the last byte
+                self._next = file.tell()
         if len(data) < size:
             raise ConfigurationError(
                 f"{self._path}: truncated: {size} bytes of voxels are needed, {len(data)} are left"
@@ -227,7 +229,7 @@ class DataSection:
         return data
 
     def _rewind(self) -> None:
-        self._file.seek(self._offset)
+        self._next = self._offset  # in the file; the position is among the uncompressed data
         self._begin()
         self._position = 0
 
@@ -235,16 +237,16 @@ class DataSection:
         # 15 is the largest window; adding 32 accepts the headers of both gzip and zlib.
         self._inflater = zlib.decompressobj(15 + 32)
 
-    def _inflate(self, size: int) -> bytes:
+    def _inflate(self, file: BinaryIO, size: int) -> bytes:
         """Return the next ``size`` bytes; fewer only at the end of the data."""
         pieces, missing, waiting = [], size, b""
         while missing > 0:
             if self._inflater.eof:  # gzip data may consist of several members
-                waiting = self._inflater.unused_data or self._file.read(_PIECE)
+                waiting = self._inflater.unused_data or file.read(_PIECE)
                 if not waiting.startswith(_GZIP):
                     break
                 self._begin()
-            packed = waiting or self._inflater.unconsumed_tail or self._file.read(_PIECE)
+            packed = waiting or self._inflater.unconsumed_tail or file.read(_PIECE)
             waiting = b""
             piece = self._inflater.decompress(packed, missing)
             if not packed and not piece:

@@ -45,7 +45,7 @@ def test_without_a_needle_the_probe_is_where_the_scenario_starts(scenario):
     assert summarize_scan(empty, scenario)["inserted_mm"] == 0
 
 
-@pytest.mark.filterwarnings("error")
+@pytest.mark.filterwarnings("error::UserWarning")
 def test_a_needle_beside_the_sector_is_left_out(scenario):
     away = RigidTransform(RotationMatrix.MakeXRotation(-np.pi / 2), [0.09, 0.05, -0.004])
     beside = scan(scenario, time=6.0, X_TP=away)

@@ -37,7 +37,7 @@ def test_covers_the_truth_in_about_95_percent():
     assert 16 <= hits <= 20  # resampling volumes instead of runs would give about 5
 
 
-@pytest.mark.filterwarnings("error")
+@pytest.mark.filterwarnings("error::RuntimeWarning")
 def test_few_runs_tell_nothing_and_one_without_an_estimate_counts_as_infinite():
     assert run_interval(5 * [np.ones(1000)], median) == run_interval(np.ones(5)) == UNBOUNDED
     assert run_interval(6 * [np.ones(10)], median) == (1, 1)

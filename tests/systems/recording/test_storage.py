@@ -1,7 +1,9 @@
 """A volume comes back with the same voxel at the same place, however it is stored."""
 
 import gzip
+import os
 import re
+import resource
 import zlib
 from itertools import permutations, product
 from pathlib import Path
@@ -295,6 +297,24 @@ def test_a_volume_comes_back_however_it_is_stored(tmp_path, name, examples):
         check(tmp_path, case)
 
     run()
+
+
+def test_a_series_may_have_more_files_than_may_be_open(tmp_path):
+    count = 80
+    path = tmp_path / "a.mhd"
+    names = [f"{k:02d}.raw" for k in range(count)]
+    for k, name in enumerate(names):
+        (tmp_path / name).write_bytes(np.full(8, k, np.uint8).tobytes())
+    lines = ["NDims = 4", f"DimSize = 2 2 2 {count}", "ElementType = MET_UCHAR"]
+    path.write_text("\n".join([*lines, "ElementDataFile = LIST", *names]) + "\n")
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (len(os.listdir("/proc/self/fd")) + 20, hard))
+    try:
+        recording = Recording(path, window=(0, 255), volume_rate=2.0)
+        greys = [float(volume.intensities.max()) for volume in recording]
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+    np.testing.assert_allclose(greys, np.arange(count), atol=0.5)
 
 
 @pytest.mark.parametrize("suffix", ["igs.mha", "igs.nrrd"])
