@@ -73,15 +73,19 @@ _MAIN_FIGURES = {
 
 
 def keep_records(
-    outcomes: Mapping[str, Sequence[Outcome]], command: str, *, adds: bool = False
+    outcomes: Mapping[str, Sequence[Outcome]], command: str, *, adds: str = ""
 ) -> None:
     """Keep records of runs in the packages that made them, and write the tables made of them.
 
-    They are added to those that are kept, or replace them.
+    They replace those that are kept, or are added to them: a "part" of what was missing, or all the
+    "rest", so that the command alone makes what is kept.
     """
     _require_checkout()
     for name, each in outcomes.items():
-        records = _joined(name, each, command) if adds else present_records(each, command)
+        if adds:
+            records = _joined(name, each, command, whole=adds == "rest")
+        else:
+            records = present_records(each, command)
         write_records(_path(name), records)
     write_tables()
 
@@ -92,12 +96,15 @@ def require_addable(name: str) -> Records:
     return _joined(name, (), "")
 
 
-def _joined(name: str, outcomes: Sequence[Outcome], command: str) -> Records:
+def _joined(
+    name: str, outcomes: Sequence[Outcome], command: str, *, whole: bool = False
+) -> Records:
     """Return the kept records of a study with further ones; one made again takes its own place."""
     if (kept := kept_records(name)) is None:
         raise ConfigurationError(f"--keep: no records of {name} are kept to which to add")
     runs = by_case([*kept.outcomes, *outcomes])
-    return present_records([*runs.values()], f"{kept.command}; {command}", kept.repeats)
+    command = command if whole else f"{kept.command}; {command}"
+    return present_records([*runs.values()], command, kept.repeats)
 
 
 def by_case(outcomes: Sequence[Outcome]) -> dict[str, Outcome]:

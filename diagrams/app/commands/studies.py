@@ -185,6 +185,7 @@ def reproduce_command(
             )
         _repeat(papers, repeat, workers, results, keep=keep)
         return
+    whole = seeds is None and not first_seed and not only
     if (keep and (quick or first_seed or only)) or (add and quick):
         raise ConfigurationError(
             "--keep: no results of a quick study, of other seeds or of a part are kept; "
@@ -236,7 +237,8 @@ def reproduce_command(
     say_report(folder)
     if keep or add:
         made = {each.paper: each.outcomes for each in studies}
-        keep_records(made, shlex.join(command), adds=add)
+        adds = ("rest" if whole else "part") if add else ""
+        keep_records(made, shlex.join(command), adds=adds)
     write_printed(results.json_path, data)
 
 

@@ -107,10 +107,12 @@ def test_runs_of_the_same_code_join_those_that_are_kept(study, house, monkeypatc
     with pytest.raises(ConfigurationError, match="kept already"):
         choose([first.case])
     for command in ("two", "three"):
-        results.keep_records({"chatelain2013": [second, first]}, command, adds=True)
+        results.keep_records({"chatelain2013": [second, first]}, command, adds="part")
     kept = results.kept_records("chatelain2013")
     assert [each.case.seed for each in kept.outcomes] == [0, 1]
     assert kept.command == "one; two; three"
+    results.keep_records({"chatelain2013": [second]}, "all", adds="rest")
+    assert results.kept_records("chatelain2013").command == "all"
     monkeypatch.setattr(records, "is_outdated", lambda identity: True)  # the code has changed
     with pytest.raises(ConfigurationError, match="other code than the present one"):
         results.require_addable("chatelain2013")
