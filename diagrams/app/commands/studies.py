@@ -185,7 +185,7 @@ def reproduce_command(
             )
         _repeat(papers, repeat, workers, results, keep=keep)
         return
-    whole = seeds is None and not first_seed and not only
+    whole = seeds is None and not (first_seed or only or finished)
     if (keep and (quick or first_seed or only)) or (add and quick):
         raise ConfigurationError(
             "--keep: no results of a quick study, of other seeds or of a part are kept; "
