@@ -169,15 +169,24 @@ def _time_of(volume: Volume | NotFound, **others: Any) -> float | None:
     return volume.time if isinstance(volume, Volume) else None
 
 
-def volume_feed(name: str = IMAGE, settings: Mapping[str, Any] | None = None) -> Feed:
-    """Return the feed of each new volume and its pose; settings are for receivers of our own."""
+def volume_feed(
+    name: str = IMAGE, settings: Mapping[str, Any] | None = None, *, posed: bool = True
+) -> Feed:
+    """Return the feed of each new volume; settings are for receivers of our own.
+
+    `posed` sends the probe's pose with it, for want of a `pose_feed`, which would be ahead of it.
+    """
     return Feed(
         inputs={"volume": (Volume, NotFound)},
         stamp=_time_of,
-        items=lambda time, volume: volume_items(volume, name, settings),
+        items=lambda time, volume: _posed(volume_items(volume, name, settings), posed),
         topic="volume",
         keep=_KEEP,
     )
+
+
+def _posed(items: list[Item], posed: bool) -> list[Item]:
+    return items if posed else [each for each in items if not isinstance(each, PoseItem)]
 
 
 def needle_feed(names: NeedleNames | None = None) -> Feed:
@@ -202,12 +211,12 @@ def slice_feed() -> Feed:
     )
 
 
-def sweep_feed(name: str = FRAME) -> Feed:
-    """Return the feed of the frames of each new sweep, with their own times and poses."""
+def sweep_feed(name: str = FRAME, *, posed: bool = True) -> Feed:
+    """Return the feed of the frames of each new sweep at their own times; see `volume_feed`."""
     return Feed(
         inputs={"sweep": (Sweep, NotFound)},
         stamp=lambda sweep: sweep.motion.time if isinstance(sweep, Sweep) else None,
-        items=lambda time, sweep: frame_items(sweep, name),
+        items=lambda time, sweep: _posed(frame_items(sweep, name), posed),
         topic="frames",
         keep=_KEEP,
     )

@@ -144,6 +144,7 @@ class ImageMatcher:
         self._wanted, self._layers, self._report = device, layers, report
         self._pose_name = poses or DEFAULT_POSES
         self._posed = {None: None, "none": False}.get(poses, True)
+        self._told = False
         self._clock_offset = clock_offset
         self._senders: dict[str, _Sender] = {}
         self._scanner = ""
@@ -157,8 +158,8 @@ class ImageMatcher:
 
     @property
     def posed(self) -> bool:
-        """True if images have poses."""
-        return bool(self._posed)
+        """True if images have poses, of a device or with what tells how they were acquired."""
+        return bool(self._posed) or self._told
 
     @property
     def clock_offset(self) -> float:
@@ -303,7 +304,7 @@ class ImageMatcher:
         stamp = image.time
         said = next((v for v in sender.said.values() if abs(v.times[0] - stamp) < _SAME), None)
         if said is not None:
-            stamp, X_WL = said.times[0], said.poses[0]
+            stamp, X_WL, self._told = said.times[0], said.poses[0], True
         elif self._posed is False:
             X_WL = RigidTransform()
         elif (tracker := self._tracker(sender)) is None and now - arrived < _FIRST_WAIT:

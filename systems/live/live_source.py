@@ -80,7 +80,7 @@ class LiveSource:
     @property
     def posed(self) -> bool:
         """True if the stream tells the probe's poses."""
-        return self._matcher.posed or bool(self.newest and self.newest.acquisition)
+        return self._matcher.posed
 
     @property
     def left_out(self) -> Counter[str]:

@@ -42,9 +42,11 @@ def live_senders(link: Link, scenario: Scenario) -> dict[str, System]:
     frames = sweep_geometry(load_transducer(scenario.probe), scenario.imaging).frame_period
     look = {"period": period, "offset": offset}
     return {
-        "sweep_sender": Sender(outlet=link, feed=sweep_feed(), **look),
+        "sweep_sender": Sender(outlet=link, feed=sweep_feed(posed=False), **look),
         "volume_sender": Sender(
-            outlet=link, feed=volume_feed(settings=recording_settings(scenario)), **look
+            outlet=link,
+            feed=volume_feed(settings=recording_settings(scenario), posed=False),
+            **look,
         ),
         "slice_sender": Sender(outlet=link, feed=slice_feed(), **look),
         "needle_sender": Sender(outlet=link, feed=needle_feed(), **look),

@@ -109,6 +109,8 @@ def test_volume_sender_sends_each_volume_once(outlet):
     assert pose.X.IsExactlyEqualTo(X)
     index = np.array([1, 2, 3, 1])
     np.testing.assert_allclose((image.X_LI @ index)[:3], volumes[1].position(index[:3]))
+    publish(Sender(outlet=outlet, feed=volume_feed(posed=False), period=1.0), volume=volumes[1:2])
+    assert [item.name for item in outlet.sent[-1][1]] == ["Acquisition", "Image_Probe"]
 
 
 def test_acquisition_of_a_very_long_sweep_leaves_the_frames_out(outlet):

@@ -78,6 +78,10 @@ def test_without_poses_the_probe_is_at_rest(lines):
     (posed,) = matcher.feed(image(2.0), 1.0)
     assert posed.X_WL.IsExactlyEqualTo(RigidTransform())
     assert not matcher.posed
+    matcher = ImageMatcher(report=lines.append)  # what tells how an image was acquired has its pose
+    matcher.feed(TextItem("Acquisition", 1.0, ACQUISITION), 0.0)
+    assert len(matcher.feed(image(1.0), 0.0)) == 1
+    assert matcher.posed
 
 
 def test_first_device_is_kept_and_a_named_one_preferred():
