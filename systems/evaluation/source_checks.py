@@ -387,10 +387,12 @@ def check_motion(name: str, matrices: ArrayLike, times: ArrayLike) -> list[Findi
         float(np.ptp(each, axis=0).max()) for each in (p, np.einsum("nji,nj->ni", R, p))
     )
     if spread < _STILL_MM and turned < _STILL_DEG:
-        text = (
-            f"{name} never moves in {len(each)} poses, as of a probe that is held: delay and "
-            "calibration cannot be judged, nor whether a tracker repeats its last pose"
-        )
+        text = f"{name} never moves in {len(each)} poses"
+        if name.startswith("Probe"):
+            text += (
+                ", as of a probe that is held: delay and calibration cannot be judged, nor whether "
+                "a tracker repeats its last pose"
+            )
         return [*findings, _fine(Check.MOTION, text)]
     if spread < _LEVER_MM * np.radians(turned):
         findings.append(_Fault.UNMOVED(name=name, spread=spread, turned=turned))

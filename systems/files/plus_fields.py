@@ -50,15 +50,20 @@ def _is_frame_field(name: str) -> bool:
 def numbered_fields(
     fields: Mapping[str, str], known: Mapping[str, FieldUse], count: int
 ) -> dict[str, str]:
-    """Return fields with the number of their volume; those of a file's only volume may have none.
+    """Return fields with the number of their volume.
 
-    ``known`` are the fields of a whole file, and ``count`` is the number of its volumes.
+    Those of a file's only volume may have none, and a transform without one, such as the
+    calibration, is that of all. ``known`` are the fields of a whole file, and ``count`` is the
+    number of its volumes.
     """
-    if count != 1:
-        return dict(fields)
-    plain = [name for name in fields if _is_frame_field(name) and name not in known]
-    only = {name: f"Seq_Frame0000_{name}" for name in plain if not _FRAME_FIELD.fullmatch(name)}
-    return {only.get(name, name): value for name, value in fields.items()}
+    plain = {
+        name
+        for name in fields
+        if _is_frame_field(name) and name not in known and not _FRAME_FIELD.fullmatch(name)
+        if count == 1 or name.endswith("Transform")
+    }
+    numbered = {f"Seq_Frame{k:04d}_{name}": fields[name] for name in plain for k in range(count)}
+    return numbered | {name: value for name, value in fields.items() if name not in plain}
 
 
 def refuse_misspelt(

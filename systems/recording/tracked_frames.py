@@ -75,11 +75,9 @@ class TrackedFrames(FileItems):
             raise ConfigurationError(f"{self.path}: {misspelt[0]}: unknown; did you mean {name!r}?")
         spacing = np.linalg.norm(self.file.directions[:, :2], axis=0)
         if np.allclose(spacing, 1.0) and "ElementSpacing" not in self._fields:
-            there = name + "Transform" in self.file.fields
             raise ConfigurationError(
                 f"{self.path}: the calibration {name} is missing, which tells the size and place "
                 "of the pixels; give it with --calibration or --plus-config"
-                + (f" (the header's {name}Transform is that of no frame)" if there else "")
             )
         return chain
 

@@ -140,9 +140,11 @@ def test_poses_that_do_not_move_as_a_probe():
 
 
 def test_a_probe_that_is_held_needs_nothing_and_it_is_told_what_that_leaves_open():
-    findings = check_motion("P", moving()[:1].repeat(50, axis=0), 0.05 * np.arange(50))
-    assert worst(findings) is None
-    assert "calibration cannot be judged" in findings[0].text
+    held = moving()[:1].repeat(50, axis=0), 0.05 * np.arange(50)
+    probe, image = (check_motion(f"{name}ToTracker", *held) for name in ("Probe", "Image"))
+    assert worst([*probe, *image]) is None
+    assert "calibration cannot be judged" in probe[0].text
+    assert "judged" not in image[0].text  # as of a calibration
 
 
 SPACING, WIDTHS = np.array([6e-4, 3e-4, 7e-4]), np.array([1.6e-3, 0.6e-3, 2.2e-3])

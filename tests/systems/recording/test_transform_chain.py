@@ -143,6 +143,10 @@ def test_a_calibration_is_refused_if_missing_and_taken_from_anywhere(tmp_path, t
         np.testing.assert_allclose(matrix, calibration)
         read = TrackedFrames(path, transforms={name: matrix})
         np.testing.assert_allclose(read.X_WI[2], frames[2].X_WI, atol=1e-9)
+    once = tmp_path / "once.igs.mha"  # in the header, for all frames
+    line = f"ImageToProbeTransform = {text(calibration)}\nElementSpacing = 0.3 0.3 1\n"
+    once.write_bytes(path.read_bytes().replace(b"ElementType", line.encode() + b"ElementType", 1))
+    np.testing.assert_allclose(TrackedFrames(once).X_WI[2], frames[2].X_WI, atol=1e-9)
     assert read_calibration(f"ProbeToTracker={text(np.eye(4))}")[0] == "ProbeToTracker"
     with pytest.raises(ConfigurationError, match="neither 16 numbers"):
         read_calibration("missing.txt")
