@@ -115,7 +115,12 @@ def load_scenario(
             return scenario
         scenario = yaml.safe_load(scenario.to_yaml())
     if isinstance(scenario, Mapping):
-        return _load(dict(scenario), str(scenario.get("name")), changes, seed)
+        data, source = dict(scenario), str(scenario.get("name"))
+        before = _needle_of(data)
+        _change(data, changes, seed)
+        if _needle_of(data) != before:
+            data = _with_other_needle(data, changes, seed)
+        return load_typed(_schema(data, source), data, source)
     if not isinstance(scenario, str | Path):
         raise ConfigurationError(
             f"scenario: a value of type {type(scenario).__name__}; expected the name of a built-in "
@@ -126,27 +131,25 @@ def load_scenario(
     if path.suffix not in (".yaml", ".yml"):
         raise ConfigurationError(f"unknown scenario {str(scenario)!r}; {suggest(path.name, known)}")
     data: dict[str, Any] = {"name": path.stem, **read_yaml(path)}
+    kind = data.get("needle")
     _change(data, changes, seed)
-    data = merged(_of_needle(data), data)
+    if data.get("needle") == kind:
+        data = merged(_of_needle(data), data)
+    else:
+        data = _with_other_needle(data, changes, seed)
     if as_published:
         published = _schema(data, scenario).as_published(data)
         data = {**published, "name": f"{data['name']}_as_published"}
-    return _load(data, str(scenario), None, seed)
+    return load_typed(_schema(data, scenario), data, str(scenario))
 
 
-def _load(
-    data: dict[str, Any],
-    source: str,
-    changes: Mapping[str, Any] | Sequence[str] | None,
-    seed: int | None,
-) -> "Scenario":
-    before = _needle_of(data)
+def _with_other_needle(
+    data: dict[str, Any], changes: Mapping[str, Any] | Sequence[str] | None, seed: int | None
+) -> dict[str, Any]:
+    """Return changed data in which the needle replaces what was set, except for other changes."""
+    data = merged(data, _of_needle(data))
     _change(data, changes, seed)
-    if _needle_of(data) != before:
-        # Another needle replaces what the scenario had, except for the other changes.
-        data = merged(data, _of_needle(data))
-        _change(data, changes, seed)
-    return load_typed(_schema(data, source), data, source)
+    return data
 
 
 def _change(

@@ -1,6 +1,7 @@
 """YAML loader with a budget for the size, the depth and the aliases of a document."""
 
 import math
+from collections import Counter
 from decimal import Decimal
 from typing import Any
 
@@ -27,7 +28,15 @@ class Dumper(yaml.SafeDumper):
 
 
 class Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
-    """YAML loader that keeps the tags of Drake's schemas, such as ``!Rpy``."""
+    """YAML loader that keeps the tags of Drake's schemas, such as ``!Rpy``, and every value."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        """Return a mapping; YAMLError if it gives a key twice, of which one would be lost."""
+        keys = Counter(key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode))
+        if twice := [key for key, count in keys.items() if count > 1]:
+            line = node.start_mark.line + 1
+            raise yaml.YAMLError(f"{twice[0]} is given twice in the mapping from line {line} on")
+        return super().construct_mapping(node, deep)
 
 
 def load_yaml(text: str) -> Any:

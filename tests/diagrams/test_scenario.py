@@ -161,6 +161,21 @@ def test_another_probe_chooses_a_frequency_unless_one_is_given_or_fits(tmp_path)
         frequency("clinic", "probe=linear")
 
 
+def test_another_needle_brings_its_gauge_and_echo_unless_they_are_given(tmp_path):
+    def needle(*changes):
+        loaded = load_scenario("chatelain2013_fig5", changes=changes)
+        return loaded.hand.gauge, loaded.scanner.needle
+
+    gauge, echo = needle()
+    assert gauge != needle("needle=spinal")[0] == 22
+    assert echo != needle("needle=echogenic")[1]
+    assert needle("hand.gauge=20", "needle=spinal")[0] == 20
+    mine = tmp_path / "mine.yaml"
+    mine.write_text("gauge: 180")
+    with pytest.raises(ConfigurationError, match="gauge: 180"):
+        needle(f"needle={mine}")
+
+
 def field(scenario, path):
     for name in path.split("."):
         scenario = scenario[int(name)] if name.isdigit() else getattr(scenario, name)

@@ -79,6 +79,7 @@ BAD = {
     "brackets": ("a: " + "[" * 400, "nested deeper than 40"),
     "bomb": (bomb(9), "more than 200000 values"),
     "tag": ("a: !!int x", "invalid literal"),
+    "twice": ("b: {c: 1}\nd: 2\nb: {e: 3}", "b is given twice in the mapping from line 1 on"),
     "size": ("a: " + "x" * 3_000_000, "3000003 characters"),
     "code": ("a: !!python/object/apply:os.system [ls]", "could not determine a constructor"),
 }
