@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -180,7 +180,10 @@ class TrackerBench:
                 self._fix(name, value)
         # Outside a simulation no event is due, so one is forced.
         self._bench.ExecuteForcedEvents(self._context)
-        return cast(NeedleEstimate, self.evaluate("estimate"))
+        estimate: NeedleEstimate = self.evaluate("estimate")
+        checks = self._tracker.HasOutputPort("volume_check")
+        refusal = self.evaluate("volume_check").reason if checks else ""
+        return replace(estimate, reason=refusal) if refusal else estimate
 
     def observe(self, time: float, observed: Mapping[str, Any]) -> None:
         """Log what was observed at a time in s between two volumes, or after the last one."""

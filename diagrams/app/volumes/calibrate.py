@@ -18,6 +18,11 @@ def calibrate_recording(
     recording: Recording | ReconstructedRecording, after_volume: Callable[[int], None] | None = None
 ) -> PoseErrors | NotFound:
     """Estimate delay and hand-eye error of a recording's poses, from tissue that stands still."""
+    if isinstance(recording, ReconstructedRecording):
+        raise ConfigurationError(
+            f"{recording.path}: volumes made of frames have no pose of their own to be calibrated; "
+            "`sonoservo check` tells the delay"
+        )
     if not recording.posed:
         raise ConfigurationError(f"{recording.path}: the volumes have no poses to be calibrated")
     calibration = PoseCalibration()

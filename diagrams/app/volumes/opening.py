@@ -72,7 +72,7 @@ class ReconstructedRecording:
                 "its frames make a single sweep, and so one volume: `sonoservo locate` finds a "
                 "needle in it, but tracking needs several sweeps"
             )
-        self.posed = False
+        self.posed = True
         self.settings: dict[str, Any] = {}
         self._read = lru_cache(maxsize=1)(self._reconstruct)
 
