@@ -115,12 +115,12 @@ def load_scenario(
             return scenario
         scenario = yaml.safe_load(scenario.to_yaml())
     if isinstance(scenario, Mapping):
-        data, source = dict(scenario), str(scenario.get("name"))
-        before = _needle_of(data)
-        _change(data, changes, seed)
-        if _needle_of(data) != before:
-            data = _with_other_needle(data, changes, seed)
-        return load_typed(_schema(data, source), data, source)
+        whole, source = dict(scenario), str(scenario.get("name"))
+        before = _needle_of(whole)
+        _change(whole, changes, seed)
+        if _needle_of(whole) != before:
+            whole = _with_other_needle(whole, changes, seed)
+        return load_typed(_schema(whole, source), whole, source)
     if not isinstance(scenario, str | Path):
         raise ConfigurationError(
             f"scenario: a value of type {type(scenario).__name__}; expected the name of a built-in "

@@ -229,9 +229,9 @@ class DataSection:
         return data
 
     def _rewind(self) -> None:
-        self._next = self._offset  # in the file; the position is among the uncompressed data
+        self._next: int = self._offset  # in the file; the position is among the uncompressed data
         self._begin()
-        self._position = 0
+        self._position: int = 0
 
     def _begin(self) -> None:
         # 15 is the largest window; adding 32 accepts the headers of both gzip and zlib.
