@@ -201,6 +201,7 @@ class DataSection:
                 + (" compressed bytes" if compressed else "")
             )
         self.surplus = 0 if compressed else max(present - size, 0)
+        self._position = self._next = 0
         self._rewind()
 
     def read(self, start: int, size: int) -> bytes:
@@ -229,9 +230,9 @@ class DataSection:
         return data
 
     def _rewind(self) -> None:
-        self._next: int = self._offset  # in the file; the position is among the uncompressed data
+        self._next = self._offset  # in the file; the position is among the uncompressed data
         self._begin()
-        self._position: int = 0
+        self._position = 0
 
     def _begin(self) -> None:
         # 15 is the largest window; adding 32 accepts the headers of both gzip and zlib.
