@@ -18,6 +18,7 @@ from sonoservo.systems.sampling.interpolation import sample_grid
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.volume import ReconstructedVolume, Volume
 from sonoservo.systems.tracking.speckle_width import speckle_spread
+from sonoservo.systems.tracking.volume_plausibility import is_noise
 from sonoservo.systems.ultrasound.frame_reconstruction import PosedFrame, reconstruct
 
 _STILL = 1e-6  # smallest time in s by which a clock moves on
@@ -206,6 +207,9 @@ class _Fault(Enum):
                "the volume holds no echo: each of its numbers is NaN, infinite or stands for what "
                "was not seen",
                "let its program write finite numbers, and look at --void")  # fmt: skip
+    NOISE = (Check.CONTENT, Grade.WRONG,
+             "neighbouring voxels are unrelated, as in no ultrasound image",
+             "look at the type and the byte order that the header states")  # fmt: skip
     LINEAR = (Check.CONTENT, Grade.DOUBTFUL,
               "its numbers are amplitudes, it seems: their speckle has a skewness of "
               "{skewness:.2f}, and below {most:.2f} if it is log-compressed",
@@ -439,6 +443,8 @@ def check_volume(volume: Volume) -> list[Finding]:
         return [_Fault.UNKNOWN()]
     if float(volume.intensities.max()) - float(volume.intensities.min()) <= 0:
         return [_Fault.BLANK()]
+    if is_noise(volume):
+        return [_Fault.NOISE()]
     compression = _check_compression(volume)
     return [
         _check_empty(volume),

@@ -175,6 +175,9 @@ def test_blank_and_hollow_volumes_are_told(volume):
     assert "shows nothing" in worst(check_volume(blank))[1]
     unknown = replace(volume, mask=np.zeros(volume.intensities.shape, bool))
     assert "is NaN, infinite or stands for" in worst(check_volume(unknown))[1]
+    lesser_bytes = np.random.default_rng(1).integers(0, 256, volume.intensities.shape)
+    swapped = replace(volume, intensities=lesser_bytes.astype(np.uint8))
+    assert "unrelated, as in no ultrasound" in worst(check_volume(swapped))[1]
     hollow = volume.intensities * (RNG.random(volume.intensities.shape) < 0.4)
     hollow = Volume(hollow, np.zeros(3), volume.spacing, volume.X_WP, 0.0)
     assert "of what was seen is black" in worst(check_volume(hollow))[1]
