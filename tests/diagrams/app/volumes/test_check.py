@@ -149,7 +149,8 @@ def test_file_that_cannot_be_read_is_a_finding(tmp_path, capsys, before, after, 
 
 def test_a_compressed_file_that_was_cut_short_is_told(tmp_path):
     path, rng = tmp_path / "a.nii.gz", np.random.default_rng(0)
-    series = nibabel.Nifti1Image(rng.integers(0, 255, (20, 20, 20, 9), np.uint8), np.eye(4))
+    voxels = rng.integers(0, 255, (20, 20, 10, 9), np.uint8).repeat(2, axis=2)
+    series = nibabel.Nifti1Image(voxels, np.eye(4))
     series.header.set_xyzt_units("mm", "sec")
     series.header["pixdim"][4] = 0.3
     nibabel.save(series, path)
