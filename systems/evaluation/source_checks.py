@@ -157,8 +157,8 @@ class _Fault(Enum):
                 "{what} without a time stamp in range: {missing}; they are left out",
                 "look at the clock of the program that acquires them")  # fmt: skip
     CLOCK = (Check.CLOCK, Grade.DOUBTFUL,
-             "time stands still or runs back {back} x, first at number {number}, and by up to "
-             "{most:.3g} s; {what} left out for it: {left}",
+             "{how} {back} x, first from number {before} to {number}; {what} left out for it: "
+             "{left}",
              "look at the clock of the program that acquires them: was it set?")  # fmt: skip
     NO_MATRIX = (Check.MATRIX, Grade.WRONG, "{name}: no matrix is valid", _TRACKER)
     EMPTY_AXIS = (Check.MATRIX, Grade.WRONG, "{name}: a matrix has an empty axis", _TRACKER)
@@ -305,6 +305,8 @@ def check_times(times: ArrayLike, what: str = "volumes") -> list[Finding]:
     if jitter > _JITTER:
         findings.append(_Fault.JITTER(what=what, share=100 * jitter))
     missing = steps / period - passed
+    # A stamp that is early, as one that repeats is, makes the next step long.
+    missing[1:] += np.minimum(missing[:-1], 0)
     gaps = missing > _GAP - 1
     if gaps.any():
         longest, about = steps[gaps].max(), int(np.round(missing[gaps]).sum())
@@ -314,11 +316,14 @@ def check_times(times: ArrayLike, what: str = "volumes") -> list[Finding]:
         findings.append(_Fault.NO_STAMP(missing=len(every) - len(there), what=what))
     if len(kept) < len(there):
         earlier, later = every[there][:-1], every[there][1:]
-        back = there[1:][earlier > later - _STILL]
+        back, most = np.flatnonzero(earlier > later - _STILL), (earlier - later).max()
         found = _Fault.CLOCK(
+            how="time stands still"
+            if most <= _STILL
+            else f"time stands still or runs back (by up to {most:.3g} s)",
             back=len(back),
-            number=back[0],
-            most=max(0.0, (earlier - later).max()),
+            before=there[back[0]],
+            number=there[back[0] + 1],
             left=len(there) - len(kept),
             what=what,
         )
