@@ -423,7 +423,10 @@ class _Reader:
                 )
             return times
         if values is not None:
-            self.notes.append("its index values have no unit of time, so they are not its times")
+            self.notes.append(
+                "its index values have no unit of time, so they are not its times; "
+                f"'axis {listed} index units:=s' says that they are"
+            )
         return self._regular_times(listed, count)
 
     def _regular_times(self, listed: int, count: int) -> NDArray[np.float64] | None:

@@ -20,8 +20,15 @@ _ELEMENT = re.compile(r"(?:(\w+To\w+?)_)?m?([0-3])([0-3])", re.IGNORECASE)
 _VECTOR = re.compile(r"(?:(\w+To\w+?)_)?(x|y|z|qw|qx|qy|qz)", re.IGNORECASE)
 _PARTS = ("x", "y", "z", "qw", "qx", "qy", "qz")
 _DEFAULT = "ProbeToReference"
-_TIMES = {"time": 1.0, "timestamp": 1.0, "time_s": 1.0, "time_ms": 1e-3, "timestamp_ms": 1e-3}
-_NAMES = ("file", "filename", "image", "name")
+_TIMES = {
+    "t": 1.0,
+    "time": 1.0,
+    "timestamp": 1.0,
+    "time_s": 1.0,
+    "time_ms": 1e-3,
+    "timestamp_ms": 1e-3,
+}
+_NAMES = ("file", "filename", "image", "img", "name")
 _ROUNDED = 1e-2  # Largest difference from 1 of the length of a unit quaternion that is rounded
 
 

@@ -107,7 +107,9 @@ class SearchReason(Enum):
         "no line is a needle with certainty yet",
         LONGER,
         _FURTHER,
-        Remedy("record more volumes; one sweep over the needle is not enough, three are", None, ""),
+        Remedy(
+            "record more volumes of the needle, three at least and seconds apart at most", None, ""
+        ),
     )
     NOT_DETECTED = ("no needle has been", "no needle has been detected", _ANYWHERE, *_FAINT)
     THERE_BEFORE = (
@@ -133,6 +135,11 @@ class SearchReason(Enum):
     NOTHING_ALONG = ("nothing along", "no needle stands out along its line", *_FAINT)
     HARDLY_SEEN = ("only", "too little of the needle is seen", *_FAINT)
     OFF_PREDICTION = ("the measurement is", "what is found lies far from the prediction", *_FAINT)
+    REFUSED = (
+        "a volume is refused",
+        "the volume is refused",
+        Remedy("see in estimates.csv why, and what sonoservo check says of the source", None, ""),
+    )
     OUT_OF_VIEW = ("the predicted needle lies outside", "the needle has left the view")
     NOT_ALIKE = ("the line found", "the line found is like no needle", *_FAINT)
     WITHDRAWN = ("the needle was withdrawn", "the needle was withdrawn")

@@ -128,7 +128,7 @@ def _track_stream(
     from sonoservo.diagrams.app.terminal import live_table, mode_words
     from sonoservo.diagrams.app.volumes.check import brief_stream_finding
     from sonoservo.diagrams.app.volumes.opening import live_source
-    from sonoservo.systems.evaluation.reports.verdict import reasons_lines
+    from sonoservo.systems.evaluation.reports.verdict import found_words, pose_lines, reasons_lines
     from sonoservo.systems.live.connection.address import parse_address
 
     place = parse_address(address)
@@ -156,7 +156,9 @@ def _track_stream(
             say=say,
         )
     console.print(live_table(summary))
-    for line in filter(None, [*reasons_lines(summary), brief_stream_finding(live)]):
+    found = f"{found_words(summary)}."
+    lines = (found, *pose_lines(summary), *reasons_lines(summary), brief_stream_finding(live))
+    for line in filter(None, lines if summary["volumes"] else lines[-1:]):
         say(line)
     say(f"Results: {folder / 'estimates.csv'}")
     write_printed(results.json_path, summary)

@@ -132,6 +132,7 @@ def track_live(
         "left_out": source.left_out.total(),
         "left_out_reasons": dict(source.left_out.most_common()),
         "poses": source.posed,
+        "frame": "the frame of the images",
         **modes.figures(),
         **delays.figures(),
     }

@@ -332,8 +332,14 @@ def _letter(axis: Any) -> str:
 class _StreamRecord:
     """What comes over a connection for a while: stamps and arrivals by device, and some images."""
 
-    def __init__(self, address: Address, poses: str | None, clock_offset: float | None) -> None:
-        self.link = Link(address, self._receive, lambda line: None)
+    def __init__(
+        self,
+        address: Address,
+        poses: str | None,
+        clock_offset: float | None,
+        say: Callable[[str], None],
+    ) -> None:
+        self.link = Link(address, self._receive, say)
         self.matcher = ImageMatcher(
             device=address.device,
             poses=poses,
@@ -384,8 +390,8 @@ def check_stream(
     """Check what comes over a connection for so many s after the first message."""
     reading = reading or Reading()
     checked = CheckedSource(str(address))
-    record = _StreamRecord(address, reading.poses, reading.clock_offset)
-    say(f"Listening to {address} for {seconds:g} s")
+    record = _StreamRecord(address, reading.poses, reading.clock_offset, say)
+    say(f"Listening to {address} for {seconds:g} s; the first message may take {patience:g} s")
     record.listen(seconds, patience)
     if not record.stamps:
         text = f"nothing has come for {patience:g} s"

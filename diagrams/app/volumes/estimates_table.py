@@ -10,6 +10,7 @@ import numpy as np
 
 from sonoservo.diagrams.tracker_bench import Tracked
 from sonoservo.diagrams.trackers.tracker_parts import TrackerParameters
+from sonoservo.systems.signals.needle_estimate import TrackingMode
 from sonoservo.systems.signals.search_reason import Reader, ReasonCount
 
 
@@ -55,19 +56,25 @@ _SINGLE = "find the needle in a single volume with sonoservo locate, or record m
 
 
 class ModeCount:
-    """Sink that counts the tracker's modes, and why volumes gave no needle."""
+    """Sink that counts the tracker's modes, why volumes gave no needle, and where it was found."""
 
     def __init__(self, parameters: TrackerParameters | None) -> None:
         anywhere = getattr(parameters, "start", None) == "anywhere"
         self.reader = Reader.RECORDING_ANYWHERE if anywhere else Reader.RECORDING
         self._modes: Counter[str] = Counter()
         self._lost = ReasonCount()
+        self._found_s: float | None = None
+        self._tip_mm: list[float] | None = None
 
     def __call__(self, tracked: Tracked) -> None:
         """Count a volume."""
-        self._modes[str(tracked.estimate.mode)] += 1
-        if not tracked.estimate:
-            self._lost.add(tracked.estimate.reason)
+        estimate = tracked.estimate
+        self._modes[str(estimate.mode)] += 1
+        if estimate.mode is TrackingMode.TRACKING and estimate.curve is not None:
+            self._found_s = tracked.volume.time if self._found_s is None else self._found_s
+            self._tip_mm = (1e3 * tracked.X_WL.inverse().multiply(estimate.curve.tip)).tolist()
+        if not estimate:
+            self._lost.add(estimate.reason)
 
     def figures(self) -> dict[str, Any]:
         """Return the figures of a summary."""
@@ -76,6 +83,8 @@ class ModeCount:
         return {
             "volumes": self._modes.total(),
             "modes": dict(sorted(self._modes.items())),
+            "found_s": self._found_s,
+            "last_tip_mm": self._tip_mm,
             "reasons": self._lost.words,
             "advice": "" if self._modes["tracking"] else advice,
         }

@@ -85,7 +85,7 @@ class TrackedRecording(RunResult):
             return str(self.verdict)
         lengths = [each for each in self.in_view if np.isfinite(each)]
         beside = ", outside what the volumes show" if lengths and lengths[-1] == 0 else ""
-        found = f"{found_words(self.rows, self.summary['frame'])}{beside}."
+        found = f"{found_words(self.summary)}{beside}."
         return " ".join([found, *pose_lines(self.summary)])
 
     def __str__(self) -> str:
@@ -273,7 +273,7 @@ def track_recording(
                 plots["errors.png"] = ERRORS_CAPTION, plot_errors(log)
         result = TrackedRecording(
             summary, log, recording_labels(summary["modes"]) | LABELS, plots=plots,
-            verdict=recording_verdict(summary, rows), estimates=estimates, rows=rows, times=times,
+            verdict=recording_verdict(summary), estimates=estimates, rows=rows, times=times,
             in_view=in_view,
         )  # fmt: skip
         if out is not None:

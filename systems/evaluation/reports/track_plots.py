@@ -180,11 +180,13 @@ def plot_tip(
     tip, length = figure.subplots(2, 1, sharex=True)
     confirmed = np.array([each.mode == TrackingMode.TRACKING for each in estimates])
     for place, colour, name in zip(1e3 * p_LTip.T, (BLUE, PURPLE, GREEN), "LPS", strict=True):
-        tip.plot(times, place, color=colour, linewidth=1.4, label=name)
+        tip.plot(times, place, ".-", color=colour, linewidth=1.4, markersize=4, label=name)
         unsure = np.where(confirmed, np.nan, place)
         tip.plot(times, unsure, "o", color=colour, markersize=4, fillstyle="none")
     tip.set_title("Estimated tip in the file's coordinates (circles: not confirmed)", loc="left")
-    length.plot(times, 1e3 * in_view, color=ORANGE, linewidth=1.4)
+    length.plot(times, 1e3 * in_view, ".-", color=ORANGE, linewidth=1.4, markersize=4)
+    margin = 0.02 * (np.ptp(times) or 1.0)
+    length.set_xlim(times[0] - margin, times[-1] + margin)
     length.set_title("Length in view", loc="left")
     for each in (tip, length):
         each.set_ylabel("mm")

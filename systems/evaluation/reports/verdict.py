@@ -1,14 +1,13 @@
 """Verdict on a run in which the robot follows a needle, in a sentence or two."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from sonoservo.systems.evaluation.labels import look_up
 from sonoservo.systems.evaluation.success import RunOutcome, run_outcome
 from sonoservo.systems.files.counting import counted
-from sonoservo.systems.signals.needle_estimate import TrackingMode
 
 
 @dataclass(frozen=True)
@@ -64,21 +63,20 @@ def following_verdict(summary: Mapping[str, Any], *, follows: bool = True) -> Ve
     return Verdict(headline, text, "good" if good else "mixed")
 
 
-def recording_verdict(summary: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]) -> Verdict:
-    """Return the verdict on a tracked recording, from its summary and the rows of estimates.csv.
+def recording_verdict(summary: Mapping[str, Any]) -> Verdict:
+    """Return the verdict on a tracked recording, from its summary.
 
     With the truth beside the recording, it is that on a run in which nothing followed the tracker.
     """
     if summary.get("truth"):
         verdict = following_verdict({**summary, "interrupted": False}, follows=False)
     elif summary["modes"].get("tracking", 0):
-        verdict = Verdict(found_words(rows, summary["frame"]), _found(summary))
+        verdict = Verdict(found_words(summary), _found(summary))
     else:
-        reasons = " ".join(reasons_lines(summary))
-        verdict = Verdict(found_words(rows, summary["frame"]), reasons, "bad")
+        verdict = Verdict(found_words(summary), " ".join(reasons_lines(summary)), "bad")
     text = " ".join([verdict.text, *pose_lines(summary)])
     if summary.get("interrupted"):
-        text = f"It was interrupted after {counted(len(rows), 'volume')}. {text}"
+        text = f"It was interrupted after {counted(summary['volumes'], 'volume')}. {text}"
     return replace(verdict, text=text)
 
 
@@ -89,16 +87,15 @@ def pose_lines(summary: Mapping[str, Any]) -> list[str]:
     return ["The volumes have no poses: the probe counts as at rest."]
 
 
-def found_words(rows: Sequence[Mapping[str, Any]], frame: str) -> str:
+def found_words(summary: Mapping[str, Any]) -> str:
     """Return when a needle was found, how often it was tracked, and where its tip was."""
-    tracked = [row for row in rows if row["mode"] == TrackingMode.TRACKING]
-    if not tracked:
+    if (first := summary["found_s"]) is None:
         return "No needle was found"
-    first, last = tracked[0], tracked[-1]
-    tip = ", ".join(f"{last[f'tip_{axis}_mm']:.1f}" for axis in "lps")
+    tip = ", ".join(f"{each:.1f}" for each in summary["last_tip_mm"])
     return (
-        f"A needle was found at {first['time_s']:.2f} s and tracked in {len(tracked)} of "
-        f"{counted(len(rows), 'volume')}; its tip was last at ({tip}) mm in {frame}"
+        f"A needle was found at {first:.2f} s and tracked in {summary['modes']['tracking']} of "
+        f"{counted(summary['volumes'], 'volume')}; its tip was last at ({tip}) mm in "
+        f"{summary['frame']}"
     )
 
 

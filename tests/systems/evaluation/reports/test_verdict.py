@@ -61,23 +61,20 @@ def test_a_needle_that_was_found_is_not_said_to_be_missing(summary):
 
 
 def test_recordings_without_truth_have_a_verdict_too():
-    told = {"reasons": {"it rains": 5}, "advice": "wait"}
-    none = recording_verdict({"frame": "LPS", "volumes": 5, "modes": {"searching": 5}, **told}, [])
+    told = {"frame": "LPS", "reasons": {"it rains": 5}, "advice": "wait", "found_s": None}
+    none = recording_verdict({"volumes": 5, "modes": {"searching": 5}, **told})
     assert str(none) == (
         "No needle was found. Volumes without a needle: 5 x it rains. What to change: wait."
     )
-    found = {"mode": "tracking", "time_s": 2.0, "tip_l_mm": 1.0, "tip_p_mm": -2.0, "tip_s_mm": 3.0}
-    rows = [{"mode": "searching"}, found, found]
-    some = recording_verdict(
-        {"frame": "LPS", "volumes": 3, "modes": {"searching": 1, "tracking": 2}}, rows
-    )
-    assert str(some) == (
+    found = {"frame": "LPS", "found_s": 2.0, "last_tip_mm": [1.0, -2.0, 3.0]}
+    found |= {"volumes": 3, "modes": {"searching": 1, "tracking": 2}}
+    assert str(recording_verdict(found)) == (
         "A needle was found at 2.00 s and tracked in 2 of 3 volumes; its tip was last at "
         "(1.0, -2.0, 3.0) mm in LPS."
     )
-    told |= {"frame": "LPS", "modes": {"searching": 3}, "interrupted": True}
-    assert "It was interrupted after 3 volumes." in str(recording_verdict(told, rows))
-    assert str(recording_verdict({**told, "poses": False}, rows)).endswith(
+    told |= {"volumes": 3, "modes": {"searching": 3}, "interrupted": True}
+    assert "It was interrupted after 3 volumes." in str(recording_verdict(told))
+    assert str(recording_verdict({**told, "poses": False})).endswith(
         "The volumes have no poses: the probe counts as at rest."
     )
 
