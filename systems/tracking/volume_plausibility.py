@@ -106,8 +106,6 @@ def implausible(
         return ""
     if volume.time < last.time:
         return f"it is {last.time - volume.time:.2f} s older than the volume before it"
-    if volume.time == last.time:
-        return "it has the time of the volume before it"
     gap = volume.time - last.time
     if gap > parameters.max_gap and not confirmed:
         return f"its time is {gap:.1f} s after that of the volume before it"
