@@ -125,7 +125,7 @@ def direction_of_insertion(seed: int) -> list[str]:
 
 
 PROTOCOLS: Mapping[str, Protocol] = {
-    "fig4": Protocol("chatelain2013_fig4", 30, (1, 16.0)),
+    "fig4": Protocol("chatelain2013_fig4", 20, (1, 16.0)),
     "fig5": Protocol("chatelain2013_fig5", 50, (1, 23.0)),
     "fig6": Protocol("chatelain2013_fig6", 50, (1, 20.5)),
     "bent": Protocol(
@@ -135,7 +135,7 @@ PROTOCOLS: Mapping[str, Protocol] = {
         "chatelain2013_fig5", 10, (1, 12.0), _SOONER, drawn=direction_of_insertion
     ),
     **{
-        f"settings, {name}": Protocol("chatelain2013_fig4", 10, (1, 8.5), [*_ONE_PUSH, *changes])
+        f"settings, {name}": Protocol("chatelain2013_fig4", 6, (1, 8.5), [*_ONE_PUSH, *changes])
         for name, changes in SETTINGS.items()
     },
     # During the approach, the probe stops as soon as it touches.
@@ -166,7 +166,7 @@ PROTOCOLS: Mapping[str, Protocol] = {
     **{
         f"open, {name.format(value)}": Protocol(
             f"chatelain2013_{scenario}",
-            3,
+            1,
             (1 if scenario == "fig5" and value == values[0] else 0, 9.0),
             [f"tracker.{change.format(value)}"],
             ours=False,
