@@ -316,7 +316,7 @@ class Link:
                 await asyncio.sleep(_FIRST_RETRY)
                 continue
             if (now := time.perf_counter()) >= due:
-                self._tell(name, f"no connection ({reason}); trying again until Ctrl-C")
+                self._tell(name, f"no connection ({reason}); trying again; Ctrl-C ends")
                 due, quiet = now + quiet, min(2 * quiet, _LAST_QUIET)
             await asyncio.sleep(retry)
             retry = min(2 * retry, _LAST_RETRY)

@@ -7,6 +7,7 @@ import nibabel
 import numpy as np
 import pytest
 from live_items import make_volume, wait_until
+from openigtlink import free_port
 from pydrake.math import RigidTransform
 from recordings import write_sequence_nrrd
 from still_tissue import LyingProbe
@@ -261,3 +262,10 @@ def test_silent_stream_is_wrong(stream):
     address = stream(lambda k: [], count=0)
     (finding,) = listened(address, patience=0.3).findings
     assert finding.grade is Grade.WRONG
+
+
+def test_how_long_it_waits_for_a_stream_and_that_nobody_answers_is_said_at_once():
+    said = []
+    check_stream(parse_address(f"igtl://localhost:{free_port()}"), patience=0.3, say=said.append)
+    assert said[0].endswith("for 5 s; the first message may take 0.3 s")
+    assert said[1].endswith("no connection (ECONNREFUSED); trying again; Ctrl-C ends")
