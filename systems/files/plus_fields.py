@@ -56,14 +56,14 @@ def numbered_fields(
     calibration, is that of all. ``known`` are the fields of a whole file, and ``count`` is the
     number of its volumes.
     """
-    plain = {
-        name
-        for name in fields
-        if _is_frame_field(name) and name not in known and not _FRAME_FIELD.fullmatch(name)
-        if count == 1 or name.endswith("Transform")
-    }
-    numbered = {f"Seq_Frame{k:04d}_{name}": fields[name] for name in plain for k in range(count)}
-    return numbered | {name: value for name, value in fields.items() if name not in plain}
+    numbered, others = dict[str, str](), dict[str, str]()
+    for name, value in fields.items():
+        plain = _is_frame_field(name) and name not in known and not _FRAME_FIELD.fullmatch(name)
+        if plain and (count == 1 or name.endswith("Transform")):
+            numbered |= {f"Seq_Frame{k:04d}_{name}": value for k in range(count)}
+        else:
+            others[name] = value
+    return numbered | others
 
 
 def refuse_misspelt(
