@@ -201,8 +201,12 @@ class DataSection:
                 + (" compressed bytes" if compressed else "")
             )
         self.surplus = 0 if compressed else max(present - size, 0)
-        self._position = self._next = 0
         self._rewind()
+
+    def _rewind(self) -> None:
+        self._next = self._offset  # in the file; the position is among the uncompressed data
+        self._begin()
+        self._position = 0
 
     def read(self, start: int, size: int) -> bytes:
         """Return ``size`` bytes from ``start`` on; reading forwards is fast."""
@@ -228,11 +232,6 @@ class DataSection:
                 f"{self._path}: truncated: {size} bytes of voxels are needed, {len(data)} are left"
             )
         return data
-
-    def _rewind(self) -> None:
-        self._next = self._offset  # in the file; the position is among the uncompressed data
-        self._begin()
-        self._position = 0
 
     def _begin(self) -> None:
         # 15 is the largest window; adding 32 accepts the headers of both gzip and zlib.

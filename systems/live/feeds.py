@@ -186,6 +186,7 @@ def volume_feed(
 
 
 def _posed(items: list[Item], posed: bool) -> list[Item]:
+    """Return messages, without those of poses unless they are wanted."""
     return items if posed else [each for each in items if not isinstance(each, PoseItem)]
 
 

@@ -106,9 +106,12 @@ def _asked(path: Path, known: list[str], words: list[str]) -> TransformChain:
             return TransformChain(start, end, (Link(name),))
         links = _shortest(known, *ends) if ends else ()
         if not ends or not links:
-            hint = f", nor a chain from one of its frames to the other; {suggest(name, known)}"
-            none = f"{path}: it has no transform {name!r}"
-            raise ConfigurationError(none + hint if known else f"{none}, and no other")
+            others = ", and no other"
+            if known:
+                others = (
+                    f", nor a chain from one of its frames to the other; {suggest(name, known)}"
+                )
+            raise ConfigurationError(f"{path}: it has no transform {name!r}{others}")
         return TransformChain(*ends, links)
     chain: list[Link] = []
     for name in words:

@@ -185,7 +185,6 @@ def reproduce_command(
             )
         _repeat(papers, repeat, workers, results, keep=keep)
         return
-    whole = seeds is None and not (first_seed or only or finished)
     if (keep and (quick or first_seed or only)) or (add and quick):
         raise ConfigurationError(
             "--keep: no results of a quick study, of other seeds or of a part are kept; "
@@ -237,7 +236,8 @@ def reproduce_command(
     say_report(folder)
     if keep or add:
         made = {each.paper: each.outcomes for each in studies}
-        adds = ("rest" if whole else "part") if add else ""
+        part = seeds is not None or first_seed or only or finished
+        adds = ("part" if part else "rest") if add else ""
         keep_records(made, shlex.join(command), adds=adds)
     write_printed(results.json_path, data)
 

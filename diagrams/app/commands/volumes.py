@@ -156,9 +156,8 @@ def _track_stream(
             say=say,
         )
     console.print(live_table(summary))
-    found = f"{found_words(summary)}."
-    lines = (found, *pose_lines(summary), *reasons_lines(summary), brief_stream_finding(live))
-    for line in filter(None, lines if summary["volumes"] else lines[-1:]):
+    found = [f"{found_words(summary)}.", *pose_lines(summary)] if summary["volumes"] else []
+    for line in filter(None, [*found, *reasons_lines(summary), brief_stream_finding(live)]):
         say(line)
     say(f"Results: {folder / 'estimates.csv'}")
     write_printed(results.json_path, summary)

@@ -70,7 +70,7 @@ class ModeCount:
         """Count a volume."""
         estimate = tracked.estimate
         self._modes[str(estimate.mode)] += 1
-        if estimate.mode is TrackingMode.TRACKING and estimate.curve is not None:
+        if estimate.mode == TrackingMode.TRACKING and estimate.curve is not None:
             self._found_s = tracked.volume.time if self._found_s is None else self._found_s
             self._tip_mm = (1e3 * tracked.X_WL.inverse().multiply(estimate.curve.tip)).tolist()
         if not estimate:
