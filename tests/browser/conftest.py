@@ -3,8 +3,10 @@ import re
 import shutil
 
 import pytest
-from playwright.sync_api import Error, sync_playwright
+from playwright.sync_api import Error, expect, sync_playwright
 
+PATIENCE = 60_000  # in ms; a busy machine draws slowly
+expect.set_options(timeout=PATIENCE)
 NO_CHROMIUM = "no Chromium: install it with your package manager, or `playwright install chromium`"
 KNOWN_WARNINGS = (
     "GPU stall due to ReadPixels",
@@ -54,7 +56,7 @@ def open_page(browser):
     that left this machine.
     """
     context = browser.new_context(viewport={"width": 1000, "height": 700})
-    context.set_default_timeout(60_000)  # in ms; a busy machine draws slowly
+    context.set_default_timeout(PATIENCE)
     complaints = []
 
     def listen(page):

@@ -6,6 +6,7 @@ import threading
 
 import numpy as np
 import pytest
+from playwright.sync_api import expect
 from rich.console import Console as Terminal
 
 from sonoservo.diagrams import load_scenario, make_experiment, run
@@ -47,7 +48,7 @@ def test_a_run_starts_where_somebody_clicked(scenario, open_page, tmp_path, monk
     click(page, image, [0.0, -1.5e-3])  # above the slice, in the picture's margin
     page.wait_for_timeout(300)
     assert clicked.empty()
-    assert "across the needle" in page.inner_text("#where")
+    expect(page.locator("#where")).to_contain_text("across the needle")
     click(page, image, place)
     page.wait_for_function("document.querySelector('#where').textContent.includes('goes on')")
     started = clicked.get(timeout=30)
