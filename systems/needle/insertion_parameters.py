@@ -95,15 +95,15 @@ class FeedParameters(Bounded):
     depth
         Depth by which the needle is fed in, in addition to ``lead``, in m.
     lead
-        Depth at the start, in m. With a lead, a probe that steps with the feed sees the shaft and
-        not the tip.
+        Depth at the start, in m. A probe that steps with the feed sees the shaft if the lead is
+        longer than the tip, 3.5 mm with the bevel of gauge 18. The bevel sends most sound away.
     template
         Length of the straight needle between the template and the entry, in m.
     """
 
     speed: Positive = 0.01
     depth: Positive = 0.14
-    lead: NotNegative = 2e-3
+    lead: NotNegative = 5e-3
     template: Positive = 10e-3
 
 

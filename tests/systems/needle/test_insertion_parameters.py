@@ -27,12 +27,13 @@ def test_the_needle_follows_its_path_and_stops_at_its_depth():
     entry = insertion.parameters.entry
     # Along X of T; beside is -Y, up is Z.
     shaft = (needle.shaft - entry)[:, [2, 1, 0]] * [1, -1, 1]
-    assert shaft[-1, 2] == pytest.approx(0.052)
+    lead = insertion.parameters.feed.lead
+    assert shaft[-1, 2] == pytest.approx(0.05 + lead)
     assert shaft[0, 2] == pytest.approx(-0.01, rel=1e-2)
     inside = shaft[shaft[:, 2] >= 0]
     expected = closed_form(insertion.path).position(inside[:, 2])
     np.testing.assert_allclose(inside, expected, atol=1e-12)
-    assert insertion.depth(1e3) == pytest.approx(0.142)
+    assert insertion.depth(1e3) == pytest.approx(0.14 + lead)
     assert insertion.end == pytest.approx(14.0)
 
 
@@ -61,7 +62,8 @@ def test_draws_are_within_their_ranges_and_fill_them():
 
 
 def test_a_straight_needle_can_be_fed():
-    straight = InsertionParameters(feed=FeedParameters(depth=0.05), start=0.0, dip_deg=30.0)
+    feed = FeedParameters(depth=0.05, lead=0.002)
+    straight = InsertionParameters(feed=feed, start=0.0, dip_deg=30.0)
     needle = Insertion(straight, np.random.default_rng(1)).needle(100.0)
     assert needle.length == pytest.approx(0.05 + 0.002 + 0.01)
     direction = (needle.tip - needle.shaft[0]) / needle.length

@@ -13,8 +13,6 @@ from sonoservo.diagrams.studies import Case, Outcome, StudyOptions, write_study
 
 SHORT = ["depth=0.03", "rotations=[0.02]", "observe_until=0.02", "step=1.5e-3"]
 SHORT += ["imaging.sector=0.4", "particle_filter.particles=150", "published.particles=150"]
-# A needle that shows at every angle.
-ROUGH = ["scanner.needle.diffuse_db=-20", "scanner.needle.diffuse_lobe_deg=null"]
 FEW = {
     "gamma": {"0.1": ["published.gain=0.1"]},
     "template": {"4 mm": ["tracker.template=[4e-3, 4e-3]"]},
@@ -27,7 +25,7 @@ def study(tmp_path_factory):
     folder = tmp_path_factory.mktemp("study")
     protocols = {
         "d60": Protocol("carriere2016_d60", 2, 2, SHORT, whole=True, learnt="even"),
-        "patient": replace(PROTOCOLS["patient"], changes=ROUGH),
+        "patient": PROTOCOLS["patient"],
         "curvature wanders by 10 %": Protocol(
             "carriere2016_d60", 2, 2, [*SHORT, "hand.curvature_wander=0.1"], learnt="even"
         ),
