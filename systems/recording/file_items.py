@@ -97,7 +97,7 @@ class FileItems:
             return np.zeros(1)
         raise TimesMissingError(
             f"{self.path}: the times of its {self.what}s are missing; give their rate "
-            "(--volume-rate)"
+            f"(--volume-rate){''.join(f'; {each}' for each in self.notes)}"
         )
 
     def _choose(

@@ -135,6 +135,12 @@ class SearchReason(Enum):
     NOTHING_ALONG = ("nothing along", "no needle stands out along its line", *_FAINT)
     HARDLY_SEEN = ("only", "too little of the needle is seen", *_FAINT)
     OFF_PREDICTION = ("the measurement is", "what is found lies far from the prediction", *_FAINT)
+    TIMES = (
+        "a volume is refused: its time",
+        "the volume's time is not plausible",
+        Remedy("see that the times are in seconds", options=""),
+        Remedy("give the volumes' rate", options="--volume-rate"),
+    )
     REFUSED = (
         "a volume is refused",
         "the volume is refused",

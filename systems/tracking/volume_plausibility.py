@@ -105,7 +105,7 @@ def implausible(
     if last is None:
         return ""
     if volume.time < last.time:
-        return f"it is {last.time - volume.time:.2f} s older than the volume before it"
+        return f"its time is {last.time - volume.time:.2f} s before that of the volume before it"
     gap = volume.time - last.time
     if gap > parameters.max_gap and not confirmed:
         return f"its time is {gap:.1f} s after that of the volume before it"

@@ -431,6 +431,8 @@ def test_index_values_without_a_unit_of_time_are_said_to_be_no_times(tmp_path):
     ])  # fmt: skip
     (tmp_path / "a.nrrd").write_bytes(head.encode() + 2 * packed(GREY, "u1", "<"))
     assert "no unit of time" in " ".join(Recording(tmp_path / "a.nrrd", volume_rate=4).notes)
+    with pytest.raises(ConfigurationError, match="--volume-rate.*no unit of time"):
+        Recording(tmp_path / "a.nrrd")
 
 
 def test_the_documentation_lists_what_becomes_of_each_field():

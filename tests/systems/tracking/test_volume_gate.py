@@ -10,6 +10,7 @@ from pydrake.math import RigidTransform
 from synthetic_volumes import Scene
 
 from sonoservo.systems.signals import NotFound, Volume, VolumeCheck
+from sonoservo.systems.signals.search_reason import Reader, ReasonCount
 from sonoservo.systems.tracking import VolumeGate, VolumePlausibilityParameters
 from sonoservo.systems.tracking.volume_plausibility import implausible, mirrored_axis
 
@@ -64,7 +65,7 @@ def test_mirrored_volumes_are_refused(volumes, axis, number):
 
 def test_volumes_out_of_their_time_are_refused(volumes):
     first, second, third = volumes[:3]
-    assert "older than the volume before" in judge(second, third)
+    assert "s before that of the volume before" in judge(second, third)
     ahead = later(second, 10.0)
     assert "ahead of the clock" in judge(ahead, first, clock=second.time + 0.2)
     assert "10.3 s after" in judge(ahead, first)
@@ -123,5 +124,7 @@ def test_leaf_passes_good_volumes_untouched_and_counts_the_others(volumes):
     assert results[0][0].reason == "no volume"
     assert "refused: it is blank" in results[2][0].reason
     assert results[3][1].refused == 1  # the same volume, still there
-    assert "refused: it is 0.30 s older" in results[5][1].reason
+    older = results[5][1].reason
+    assert "refused: its time is 0.30 s before that of the volume before it" in older
+    assert "--volume-rate" in ReasonCount([older]).advice(Reader.RECORDING)
     assert results[-1][1] == VolumeCheck(accepted=3, refused=2)
