@@ -95,9 +95,10 @@ class FileItems:
             return self.file.times
         if count == 1:
             return np.zeros(1)
+        unread = "".join(f"; {each}" for each in self.notes if "time" in each)
         raise TimesMissingError(
             f"{self.path}: the times of its {self.what}s are missing; give their rate "
-            f"(--volume-rate){''.join(f'; {each}' for each in self.notes)}"
+            f"(--volume-rate){unread}"
         )
 
     def _choose(

@@ -95,8 +95,8 @@ def read_pose_table(path: Path, files: Sequence[str]) -> tuple[dict[str, str], l
         if not any(name.endswith("Transform") for name in fields):
             raise ConfigurationError(f"{path}: none of its rows has a pose; {unread}")
         unused = [each for each in names if not _is_read(each)]
-        notes = [f"columns of {path.name} that are not read: {', '.join(unused)}"] if unused else []
-        return fields, notes
+        said = f"columns of {path.name} that are neither times nor poses: {', '.join(unused)}"
+        return fields, [said] if unused else []
 
 
 def _is_read(name: str) -> bool:

@@ -136,7 +136,9 @@ def test_colours_in_some_of_the_images_are_refused(tmp_path, frames):
 def test_columns_that_are_not_read_are_told(tmp_path):
     table = tmp_path / "poses.csv"
     table.write_text("frame,stamp,x,y,z,qw,qx,qy,qz\n0.0,12,1,2,3,1,0,0,0")
-    assert read_pose_table(table, ["a.png"])[1] == ["columns of poses.csv that are not read: stamp"]
+    assert read_pose_table(table, ["a.png"])[1] == [
+        "columns of poses.csv that are neither times nor poses: stamp"
+    ]
 
 
 def test_a_row_that_is_missing_costs_its_frame(tmp_path, frames):
