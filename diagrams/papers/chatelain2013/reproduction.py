@@ -135,7 +135,7 @@ PROTOCOLS: Mapping[str, Protocol] = {
         "chatelain2013_fig5", 10, (1, 12.0), _SOONER, drawn=direction_of_insertion
     ),
     **{
-        f"settings, {name}": Protocol("chatelain2013_fig4", 6, (1, 8.5), [*_ONE_PUSH, *changes])
+        f"settings, {name}": Protocol("chatelain2013_fig4", 10, (1, 8.5), [*_ONE_PUSH, *changes])
         for name, changes in SETTINGS.items()
     },
     # During the approach, the probe stops as soon as it touches.
