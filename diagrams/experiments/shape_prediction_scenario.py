@@ -151,9 +151,7 @@ class ShapePredictionScenario(Scenario):
     @classmethod
     def as_published(cls, data: Mapping[str, Any]) -> dict[str, Any]:
         """Return data with the printed tracker, guided by the printed particle filter."""
-        printed = data.get("published", {})
-        template = {"template": printed["template"]} if "template" in printed else {}
-        tracker = {**_PUBLISHED_TRACKER, **template, **data.get("tracker", {})}
+        tracker = {**_PUBLISHED_TRACKER, **data.get("tracker", {})}
         return {**data, "estimator": "published", "tracker": tracker}
 
     def __post_init__(self) -> None:

@@ -17,7 +17,7 @@ The paper leaves some points open. They are decided as follows:
 The uncertainty is the spread of the particles, as in the paper. It says little about the error.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
@@ -63,9 +63,6 @@ class PublishedParticleFilterParameters(ShapeEstimatorParameters):
     bevel_direction_deg
         Approximate direction in which the bevel bends, from X towards Y of I, in deg; None if
         unknown.
-    template
-        Width and height of the template of the printed search, which becomes `tracker.template`
-        as published, in m.
     """
 
     particles: int = 500
@@ -74,7 +71,6 @@ class PublishedParticleFilterParameters(ShapeEstimatorParameters):
     gain: float = 0.05
     start_depth: Positive = 10e-3
     bevel_direction_deg: float | None = None
-    template: list[float] = field(default_factory=lambda: [6e-3, 6e-3])
 
     def __post_init__(self) -> None:
         super().__post_init__()
