@@ -144,7 +144,7 @@ def drive(
     own = None if tracker is None else as_system(tracker, **tracker_events(scenario))
     with refusing(scenario):
         experiment = DrivenExperiment(scenario, console, meshcat, observers, own)
-    kept, bar = KeptRun(experiment, out=out), progress_bar(scenario, progress)
+    kept, bar = KeptRun(experiment, out=out, console=console), progress_bar(scenario, progress)
     shown = [each for each in (bar.show if bar else None, show) if each is not None]
 
     def set_aside() -> None:

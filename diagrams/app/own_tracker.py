@@ -4,6 +4,7 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from traceback import extract_tb
 from typing import TypeAlias
 
 import numpy as np
@@ -11,7 +12,7 @@ from pydrake.common.value import Value
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State, System
 
 from sonoservo.diagrams.benchmark.entrants import Step, checked, resolve_entrant, start_tracker
-from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
+from sonoservo.systems.files.refusals import ConfigurationError, describe, refusing_failures
 from sonoservo.systems.files.volume_file import MAX_STEP
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
 from sonoservo.systems.signals.volume import Volume
@@ -105,9 +106,16 @@ class _FunctionTracker(LeafSystem):
         newest = context.get_abstract_state(self._newest).get_value()
         if not isinstance(volume, Volume) or volume is newest:
             return EventStatus.DidNothing()
-        failed = f"this tracker of yours failed at {volume.time:.2f} s (--debug says where)"
-        with refusing_failures(self._name, failed):
+        try:
             estimate = checked(self._step, volume, self._name)
+        except ConfigurationError:
+            raise
+        except Exception as error:
+            where = extract_tb(error.__traceback__)[-1]
+            raise ConfigurationError(
+                f"{self._name}: this tracker of yours failed at {volume.time:.2f} s, in "
+                f"{where.filename}, line {where.lineno}: {type(error).__name__}: {describe(error)}"
+            ) from error
         if estimate and (estimate.velocity is None or estimate.covariance is None):
             raise ConfigurationError(
                 f"{self._name}: an estimate with a curve needs its velocity and covariance as well"

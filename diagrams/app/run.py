@@ -136,7 +136,7 @@ def run(
                 observers=observers,
             )
         pacer = Pacer(console) if console is not None else None
-        kept = KeptRun(experiment, out=out, meshcat=meshcat, movie=movie)
+        kept = KeptRun(experiment, out=out, meshcat=meshcat, movie=movie, console=console)
 
         def note(experiment: Experiment[Any]) -> None:
             kept.go_on()

@@ -14,6 +14,7 @@ from sonoservo.systems.signals.body_surface import BodySurface
 
 _LEVER = 0.1
 _TOLERANCE = 1e-6
+_STARTS = 16
 
 
 def probe_pose(
@@ -43,20 +44,29 @@ def solve_posture(
     """Return (n,) joint positions in rad that put the probe at a pose, within the arm's limits."""
     near = arm.home if near is None else near
     result = _solve(arm, X_WP, near, start=near)
-    if not result.is_success():
+    if result.is_success():
+        return result.get_x_val()
+    # The search is local: from another start it may find what it does not find from here.
+    for start in [near, *_other_starts(arm)]:
         # A redundant arm finds its nearest posture more easily from one that reaches the pose.
-        any_posture = _solve(arm, X_WP, None, start=near)
+        any_posture = _solve(arm, X_WP, None, start=start)
         if any_posture.is_success():
             nearest = _solve(arm, X_WP, near, start=any_posture.get_x_val())
-            result = nearest if nearest.is_success() else any_posture
-    if not result.is_success():
-        p = X_WP.translation()
-        angles = np.rad2deg(RollPitchYaw(X_WP.rotation()).vector())
-        raise ValueError(
-            f"the arm cannot reach the probe pose x {p[0]:.3f}, y {p[1]:.3f}, z {p[2]:.3f} m, "
-            f"roll {angles[0]:.1f}, pitch {angles[1]:.1f}, yaw {angles[2]:.1f} deg in the world"
-        )
-    return result.get_x_val()
+            return (nearest if nearest.is_success() else any_posture).get_x_val()
+    p = X_WP.translation()
+    angles = np.rad2deg(RollPitchYaw(X_WP.rotation()).vector())
+    raise ValueError(
+        f"the arm cannot reach the probe pose x {p[0]:.3f}, y {p[1]:.3f}, z {p[2]:.3f} m, "
+        f"roll {angles[0]:.1f}, pitch {angles[1]:.1f}, yaw {angles[2]:.1f} deg in the world, from "
+        f"its default joint positions nor from {_STARTS} others"
+    )
+
+
+def _other_starts(arm: ArmWithProbe) -> NDArray[np.float64]:
+    """Return (m, n) joint positions in rad, spread over the arm's limits, the same each time."""
+    low, high = arm.plant.GetPositionLowerLimits(), arm.plant.GetPositionUpperLimits()
+    reach = np.maximum(low, -np.pi), np.minimum(high, np.pi)
+    return np.random.default_rng(0).uniform(*reach, (_STARTS, len(low)))
 
 
 def _solve(

@@ -34,6 +34,7 @@ from sonoservo.systems.files.writing import (
 
 if TYPE_CHECKING:
     from sonoservo.diagrams.app.terminal import Progress
+    from sonoservo.systems.display.console.console import Console
 
 _SAVE_EVERY = 10.0  # Wall-clock time in s after which log and scenario are saved again
 PICTURES = "slices.npz"
@@ -71,9 +72,10 @@ class KeptRun:
         out: Path | None = None,
         meshcat: Meshcat | None = None,
         movie: Path | None = None,
+        console: "Console | None" = None,
     ) -> None:
         self._experiment, self.scenario = experiment, experiment.scenario
-        self.out, self._meshcat, self._movie = out, meshcat, movie
+        self.out, self._meshcat, self._movie, self._console = out, meshcat, movie, console
         self._clock = CompileFreeClock()
         self.interrupted = False
         self.unwritten = Unwritten()
@@ -109,6 +111,8 @@ class KeptRun:
                     self.unwritten.note(error)
                 finally:
                     self._wall = self._clock() - self._started
+                    if self._console is not None:
+                        self._console.end("its results are being written")
                     self._save()
             return self._finish()
 

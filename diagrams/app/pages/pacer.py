@@ -56,8 +56,8 @@ class Pacer:
     def wait(self, now: float) -> bool:
         """Wait while the run is paused, or ahead of its speed; ``now`` is its time in s.
 
-        Returns True if time has been lost on purpose, or the speed has changed; KeyboardInterrupt
-        is the console's wish to end, as Ctrl-C is.
+        Returns True if time has been lost that is not to be made up for, or the speed has changed;
+        KeyboardInterrupt is the console's wish to end, as Ctrl-C is.
         """
         held = False
         while True:
@@ -73,8 +73,11 @@ class Pacer:
             held = True
             time.sleep(_LOOK)
         if held or self._console.controls.speed != self.speed:
-            self.speed, held, self._origin = self._console.controls.speed, True, None
+            self.speed, held = self._console.controls.speed, True
             self._real_time.start(now)
+        held |= self.late
+        if held:
+            self._origin = None
         if self._keeps_speed and self.speed > 0 and not self.paused:
             start, begun = self._origin = self._origin or (now, time.perf_counter())
             time.sleep(max(0.0, (now - start) / self.speed - (time.perf_counter() - begun)))

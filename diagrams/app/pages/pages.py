@@ -44,12 +44,10 @@ class Pages:
         """
         if report is not None:
             _serve_results(self.site, self.console, report)
-        self.console.controls.offer([])
-        self.console.controls.offer_buttons()
         stays = terminal.is_interactive and sys.stdin.isatty() and not is_interrupted()
         if report is not None and report.is_file() and not stays:
             said += f" Report: {report}"  # the link will soon lead nowhere
-        self.console.say(ended=said, paused=False, pace="")
+        self.console.end(said)
         if stays:
             terminal.print("The page stays open: press Enter to end.")
             with suppress(EOFError, KeyboardInterrupt):

@@ -143,6 +143,12 @@ class Console:
             self._facts = self._facts | facts
             self._wake()
 
+    def end(self, words: str) -> None:
+        """Say how the run has ended, and offer nothing more."""
+        self.controls.offer([])
+        self.controls.offer_buttons()
+        self.say(ended=words, paused=False, pace="")
+
     def wait_until_shown(self, longest: float) -> None:
         """Wait until all open pages show what was said, but no longer than a time in s."""
         end = clock.monotonic() + longest

@@ -143,11 +143,15 @@ def _found(summary: Mapping[str, Any]) -> str:
     median, p95 = (look_up(tracking, f"tip_error_mm.{each}") for each in ("median", "p95"))
     if median is None:
         return f"{text}."
+    axis = look_up(tracking, "axis_error_deg.median")
+    turned = "" if axis is None else f"; the needle's axis was {axis:.1f} deg off (median)"
+    if tracking["tracked"] == 1:
+        return f"{text}; its tip was {median:.2f} mm from the true one{turned}."
     inside = look_up(tracking, "consistency.tip.within_95")
     stated = "" if inside is None else f", and {100 * inside:.0f} % inside the stated 95 %"
     return (
         f"{text}; half of the estimated tips were less than {median:.2f} mm from the true one, "
-        f"95 % less than {p95:.2f} mm{stated}."
+        f"95 % less than {p95:.2f} mm{stated}{turned}."
     )
 
 

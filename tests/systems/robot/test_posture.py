@@ -1,4 +1,5 @@
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydrake.math import RigidTransform
@@ -51,3 +52,17 @@ def test_a_redundant_arm_stays_near_the_posture_it_is_given():
     for q, to in ((near_home, IIWA.home), (near_swung, swung)):
         other = near_swung if q is near_home else near_home
         assert np.linalg.norm(q - to) < np.linalg.norm(other - to)
+
+
+@pytest.mark.parametrize("arm", [VIPER, IIWA])
+def test_a_pose_within_reach_is_found_from_any_posture(arm):
+    pose = probe_pose(X_WT=X_WT, x=0, y=0, yaw=0.0, height=0.0)
+    low, high = arm.plant.GetPositionLowerLimits(), arm.plant.GetPositionUpperLimits()
+    for near in np.random.default_rng(5).uniform(low, high, (10, len(low))):
+        q = solve_posture(arm, pose, near)
+        assert (q >= low - 1e-6).all()
+        assert (q <= high + 1e-6).all()
+        context = arm.plant.CreateDefaultContext()
+        arm.plant.SetPositions(context, q)
+        got = arm.probe.EvalPoseInWorld(context).GetAsMatrix4()
+        np.testing.assert_allclose(got, pose.GetAsMatrix4(), atol=5e-5)

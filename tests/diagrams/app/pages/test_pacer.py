@@ -1,6 +1,10 @@
+import time
+from contextlib import closing
+
 import pytest
 
-from sonoservo.diagrams.app.pages.pacer import RealTime
+from sonoservo.diagrams.app.pages.pacer import Pacer, RealTime
+from sonoservo.systems.display import Console
 
 
 class Clock:
@@ -39,3 +43,12 @@ def test_a_short_delay_is_made_up_for_a_long_one_forgiven(clock):
     real_time.start(0.0)
     assert not real_time.is_late(0.0)
     assert real_time.factor is None
+
+
+def test_a_run_does_not_hurry_after_what_held_it_up():
+    with closing(Console(title="a test", world=None)) as console:
+        pacer = Pacer(console)
+        assert not pacer.wait(0.0)
+        time.sleep(0.6)  # a kernel is compiled
+        assert pacer.wait(0.1)
+        assert not pacer.wait(0.1)

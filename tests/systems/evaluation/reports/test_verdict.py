@@ -24,6 +24,8 @@ def test_a_good_run_says_what_was_reached(summary):
     assert verdict.headline == "The needle was found and followed"
     assert "tracked in 52 of the 52 volumes" in verdict.text
     assert "less than 0.50 mm from the true one" in verdict.text
+    summary["tracking"]["axis_error_deg"]["median"] = 2.77
+    assert "the needle's axis was 2.8 deg off (median)" in following_verdict(summary).text
     assert "0.00 mm beside the probe's middle (X)" in verdict.text
     still = following_verdict(summary, follows=False)
     assert still.headline == "The needle was found and tracked"
@@ -48,6 +50,13 @@ def test_what_went_wrong_comes_first(summary, block, figures, grade, words):
     assert succeeds(summary) == (block == "tracking")
     assert verdict.grade == grade
     assert words in str(verdict)
+
+
+def test_one_volume_has_no_percentiles(summary):
+    summary["tracking"] |= {"tracked": 1, "volumes": 1}
+    text = following_verdict(summary).text
+    assert "its tip was 0.50 mm from the true one" in text
+    assert "half of" not in text
 
 
 def test_a_needle_that_was_found_is_not_said_to_be_missing(summary):
