@@ -241,6 +241,10 @@ class _Fault(Enum):
     LOST_SLICES = (Check.CONTENT, Grade.DOUBTFUL,
                    "{count} whole slices in the midst of the box show nothing",
                    "look for NaN, and for markers of what was not seen")  # fmt: skip
+    NO_SLICES = (Check.CONTENT, Grade.DOUBTFUL,
+                 "{count} of {read} {what} that were read lack whole slices in their midst (NaN), "
+                 "such as number {number}: {share:.3g} % of its voxels are there",
+                 "look for slices that the scanner or its program lost")  # fmt: skip
     FROZEN = (Check.CONTENT, Grade.DOUBTFUL,
               "{count} of {read} {what} that were read repeat the one before exactly, such as "
               "number {number}",
@@ -494,11 +498,17 @@ def _check_slices(volume: Volume) -> list[Finding]:
     """Check that what was seen has no gap of whole slices, as a sparse sweep has between frames."""
     if isinstance(volume, ReconstructedVolume):
         return []
+    lost = _lost_slices(volume.seen)
+    return [_Fault.LOST_SLICES(count=lost)] if lost else []
+
+
+def _lost_slices(seen: NDArray[np.bool_]) -> int:
+    """Return how many slices, of (nx, ny, nz, ...) flags of which one is set, lie in gaps."""
     lost = 0
     for axis in range(3):
-        shown = np.flatnonzero(volume.seen.any(axis=tuple({0, 1, 2} - {axis})))
+        shown = np.flatnonzero(seen.any(axis=tuple({*range(seen.ndim)} - {axis})))
         lost += int(shown[-1] - shown[0] + 1) - len(shown)
-    return [_Fault.LOST_SLICES(count=lost)] if lost else []
+    return lost
 
 
 def _check_saturation(volume: Volume) -> list[Finding]:
@@ -617,18 +627,27 @@ def check_numbers(voxels: NDArray[Any]) -> list[Finding]:
 def check_contents(volumes: Iterable[NDArray[Any]], what: str = "volumes") -> list[Finding]:
     """Check that volumes or frames, as the file holds them, show something, and not one thing."""
     last, read = None, 0
-    repeats, nothing = list[int](), list[int]()
+    repeats, nothing, shares = list[int](), list[int](), dict[int, float]()
     for read, voxels in enumerate(volumes, 1):
-        if voxels.min() == voxels.max() or not np.isfinite(voxels).any():
+        known = np.isfinite(voxels)
+        if voxels.min() == voxels.max() or not known.any():
             nothing.append(read - 1)
         elif last is not None and np.array_equal(voxels, last, equal_nan=True):
             repeats.append(read - 1)
+        elif _lost_slices(known):
+            shares[read - 1] = 100 * float(known.mean())
         last = voxels
-    return [
+    found = [
         fault(count=len(numbers), read=read, what=what, number=numbers[0])
         for fault, numbers in ((_Fault.NOTHING, nothing), (_Fault.FROZEN, repeats))
         if numbers
     ]
+    if shares:
+        number, share = next(iter(shares.items()))
+        found.append(
+            _Fault.NO_SLICES(count=len(shares), read=read, what=what, number=number, share=share)
+        )
+    return found
 
 
 def check_across(sweeps: Sequence[Sequence[PosedFrame]]) -> list[Finding]:

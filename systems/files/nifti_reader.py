@@ -52,6 +52,11 @@ def open_nifti(path: Path, *, frames: bool = False) -> VolumeFile:
         times = None
         if duration in SECONDS and step > 0:
             times = SECONDS[duration] * (float(header["toffset"]) + step * np.arange(count))
+        untimed = []
+        if numbered and duration not in SECONDS:
+            untimed.append(f"its unit of time (xyzt_units) is {duration!r}")
+        if numbered and not step > 0:
+            untimed.append(f"its step of time (pixdim[{numbered[0] + 1}]) is {step:g}")
 
     colours = dtype.names or ()
 
@@ -63,8 +68,8 @@ def open_nifti(path: Path, *, frames: bool = False) -> VolumeFile:
 
     unmeasured = ["it states no unit of length; mm are taken"] if length == "unknown" else []
     return VolumeFile(
-        path, shape, count, directions, origin, read, times, notes=(*unmeasured, *unplaced),
-        channels=max(len(colours), 1),
+        path, shape, count, directions, origin, read, times,
+        notes=(*unmeasured, *unplaced, *untimed), channels=max(len(colours), 1),
     )  # fmt: skip
 
 

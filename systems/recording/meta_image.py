@@ -212,9 +212,11 @@ def _numbers(
         numbers = np.array([np.nan])
     right = len(numbers) == count if count is not None else len(numbers) > 0
     if not right or not np.isfinite(numbers).all():
+        words = fields.get(name, "").split()
+        comma = any(re.fullmatch(r"-?\d+,\d+", word) for word in words)
         raise ConfigurationError(
             f"{path}: {name}: {fields.get(name, '')!r} is not allowed; expected finite numbers: "
-            f"{count or '3 or 4'}"
+            f"{count or '3 or 4'}{', with a comma for a point?' if comma else ''}"
         )
     return numbers
 

@@ -26,6 +26,11 @@ def open_png_folder(path: Path, *, frames: bool = False) -> VolumeFile:
     require_frames(path, frames, f"{len(files)} PNG images")
     tables = sorted(path.glob("*.csv"))
     table = path / TABLE if path / TABLE in tables or len(tables) != 1 else tables[0]
+    if not table.is_file():
+        raise ConfigurationError(
+            f"{table}: there is no such table of poses; the folder is taken for one of PNG images, "
+            f"as it holds {files[0].name}"
+        )
     fields, notes = read_pose_table(table, [each.name for each in files])
     rows = len({name[: len("Seq_Frame0000")] for name in fields})
     if rows < len(files):

@@ -117,7 +117,7 @@ class Recording(FileItems):
                 if chain.start.startswith("Image"):  # its coordinates are voxels, not mm
                     pixels[:3, :3], pixels[:3, 3] = directions, origin
                 self._poses = {
-                    k: _rigid(self.path, str(chain), matrix @ np.linalg.inv(pixels))
+                    k: _rigid(self.path, f"volume {k}: {chain}", matrix @ np.linalg.inv(pixels))
                     for k, matrix in zip(self.numbers, matrices, strict=True)
                 }
             if window is not None:
@@ -237,6 +237,17 @@ def _rigid(path: Path, name: str, matrix: NDArray[np.float64]) -> RigidTransform
     """Return the pose of L in W, in m, nearest to a transform in mm, perhaps askew."""
     R = matrix[:3, :3]
     if np.abs(R.T @ R - np.eye(3)).max() > _ASKEW or np.linalg.det(R) < 0:
-        raise ConfigurationError(f"{path}: {name}: {R.round(4).tolist()} is not a rotation")
+        lengths = np.linalg.norm(R, axis=0)
+        unit = R / np.where(lengths > 0, lengths, 1)
+        square = np.abs(unit.T @ unit - np.eye(3)).max() < _ASKEW
+        causes = []
+        if square and np.abs(lengths - 1).max() > 1e-2:
+            same = np.ptp(lengths) < 1e-3 * lengths.max()
+            shown = lengths[:1] if same else lengths
+            causes.append(f"its axes are scaled by {' x '.join(f'{each:.4g}' for each in shown)}")
+        if np.linalg.det(R) < 0:
+            causes.append("it is mirrored")
+        said = ", and ".join(causes) or "its axes are not at right angles"
+        raise ConfigurationError(f"{path}: {name}: {R.round(4).tolist()} is not a rotation: {said}")
     U, _, V = np.linalg.svd(R)
     return RigidTransform(RotationMatrix(U @ V), 1e-3 * matrix[:3, 3])

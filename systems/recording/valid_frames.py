@@ -1,6 +1,7 @@
 """Choice of the valid volumes or frames of a file, with their poses and times."""
 
 from bisect import bisect_right
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
@@ -19,6 +20,7 @@ MAX_TIME = 1e11
 """Largest time in s; the seconds since 1970 are a hundredth of it."""
 
 _MIN_STEP = 1e-6  # Smallest time between two volumes or frames, in s
+_EPOCH = 5e8, 5e9  # Seconds since 1970 that a clock may show, in s
 
 
 class Unusable(StrEnum):
@@ -69,10 +71,12 @@ def choose_items(
     matrices, numbers = [], []
     names = [link.name for link in chain.links] if chain else []
     own = [name for name in names if name not in constants]
-    fault = ""
+    fault, marked = "", Counter[str]()
     for k in range(count):
         marks = ["ImageStatus", *(f"{name}TransformStatus" for name in own)]
-        if any(fields.get(mark, {}).get(k, "OK").upper() != "OK" for mark in marks):
+        bad = [mark for mark in marks if fields.get(mark, {}).get(k, "OK").upper() != "OK"]
+        if bad:
+            marked.update(bad)
             left_out.setdefault(Unusable.MARKED, []).append(k)
         elif any(k not in fields.get(f"{name}Transform", {}) for name in own):
             left_out.setdefault(Unusable.NO_POSE, []).append(k)
@@ -81,7 +85,9 @@ def choose_items(
                 found = {
                     name: constants[name]
                     if name in constants
-                    else read_matrix(path, f"{name}Transform", fields[f"{name}Transform"][k])
+                    else read_matrix(
+                        path, f"{what} {k}: {name}Transform", fields[f"{name}Transform"][k]
+                    )
                     for name in names
                 }
                 matrices.append(chain.matrix(found) if chain else np.eye(4))
@@ -92,17 +98,44 @@ def choose_items(
     if not numbers:
         if fault:
             raise ConfigurationError(fault)
-        raise ConfigurationError(f"{path}: all of its {count} {what}s are invalid")
+        reasons = [f"{mark} is not OK in {bad}" for mark, bad in marked.items()]
+        if lost := left_out.get(Unusable.NO_POSE):
+            reasons.append(f"{len(lost)} are {Unusable.NO_POSE}")
+        raise ConfigurationError(
+            f"{path}: all of its {count} {what}s are invalid: {', '.join(reasons)}"
+        )
     chosen, kept = np.array(numbers), rising(times[numbers])
     for k in chosen[~kept]:
         reason = Unusable.NO_TIME if np.isnan(times[k]) else Unusable.OUT_OF_ORDER
         left_out.setdefault(reason, []).append(int(k))
     if not kept.any() or 2 * np.count_nonzero(kept) < len(kept):
         raise ConfigurationError(
-            f"{path}: the times of its {what}s are missing, out of range (+-{MAX_TIME:g} s) or do "
-            "not rise; give their rate (--volume-rate)"
+            f"{path}: the times of its {what}s {_fault_of_times(chosen, times[chosen], what)}; "
+            "give their rate (--volume-rate)"
         )
     return ValidItems(chosen[kept], np.array(matrices)[kept], times[chosen[kept]], left_out)
+
+
+def _fault_of_times(numbers: NDArray[np.int64], times: NDArray[np.float64], what: str) -> str:
+    """Return what most of the (n,) times in s that cannot be used suffer from, after "they"."""
+    missing, wide = np.isnan(times), np.abs(times) > MAX_TIME
+    back = len(times) - np.count_nonzero(missing | wide | rising(times))
+    if np.count_nonzero(missing) >= max(np.count_nonzero(wide), back):
+        return "are missing" + ("" if missing.all() else f" in {missing.sum()} of {len(times)}")
+    if np.count_nonzero(wide) >= back:
+        first = float(times[wide][0])
+        units = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+        meant = [unit for unit in units if _EPOCH[0] < units[unit] * first < _EPOCH[1]]
+        unit = f", as if in {meant[0]} since 1970" if meant else ""
+        return f"are out of range (+-{MAX_TIME:g} s): {first:.15g} s{unit}"
+    numbers, times = numbers[~(missing | wide)], times[~(missing | wide)]
+    if (times == times[0]).all():
+        return f"do not rise: all are {times[0]:.15g} s"
+    k = int(np.argmax(np.diff(times) < _MIN_STEP))
+    return (
+        f"do not rise: that of {what} {numbers[k]} is {times[k]:.15g} s, and that of "
+        f"{what} {numbers[k + 1]} {times[k + 1]:.15g} s"
+    )
 
 
 def rising(times: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -147,11 +180,16 @@ def read_matrix(path: Path, name: str, text: str) -> NDArray[np.float64]:
     """Return the (4, 4) matrix of a transform as PLUS writes it: row by row, in mm."""
     try:
         matrix = np.array(text.split(), float).reshape(4, 4)
+    except ValueError:
+        matrix = np.full((4, 4), np.nan)
+    try:
         require_homogeneous(matrix, MAX_POSITION)
     except ValueError as error:
+        turned = (matrix[:3, 3] == 0).all() and matrix[3, 3] == 1 and matrix[3, :3].any()
+        cause = "; its translation is in the last row: transposed?" if turned else ""
         raise ConfigurationError(
             f"{path}: {name}: {text[:100]!r} is not a 4 x 4 matrix whose last row is 0 0 0 1, "
-            f"with positions within +-{MAX_POSITION:g} mm"
+            f"with positions within +-{MAX_POSITION:g} mm{cause}"
         ) from error
     return matrix
 

@@ -336,5 +336,12 @@ def test_volumes_that_repeat_each_other_or_show_nothing_are_told():
     assert nothing.text == "1 of 5 volumes that were read show nothing, such as number 2"
     assert frozen.text.startswith("2 of 5 volumes that were read repeat the one before exactly")
     assert check_contents([np.zeros((4, 4), np.uint8)], "frames")[0].grade is Grade.DOUBTFUL
+    holed = first.copy()
+    holed[:, 2] = np.nan
+    (lost,) = check_contents([first, holed, second])
+    assert lost.text.startswith("1 of 3 volumes that were read lack whole slices")
+    assert "number 1: 80 % of its voxels are there" in lost.text
+    first[:2], second[:, :, 4:] = np.nan, np.nan  # their fields of view end there
+    assert check_contents([first, second]) == []
     image = np.diag([1.43, 1.43, 1.43, 1.0])
     assert "right way round" in check_matrices("ImageToProbe", image)[0].advice

@@ -170,6 +170,8 @@ def test_a_row_that_is_missing_costs_its_frame(tmp_path, frames):
 )
 def test_a_table_that_is_none_is_refused(tmp_path, text, message):
     Image.new("L", (4, 4)).save(tmp_path / "a.png")
+    with pytest.raises(ConfigurationError, match=r"poses.csv.*of PNG images, as it holds a.png"):
+        TrackedFrames(tmp_path)
     (tmp_path / "poses.csv").write_text(text)
     with pytest.raises(ConfigurationError, match=message):
         TrackedFrames(tmp_path)
@@ -315,6 +317,18 @@ def test_nifti_gives_the_volumes_that_nrrd_gives(tmp_path, name):
         np.testing.assert_allclose(read[number].spacing, wanted[number].spacing, rtol=1e-6)
         np.testing.assert_allclose(read[number].origin, wanted[number].origin, atol=1e-8)
         assert read.X_WL(number).IsNearlyEqualTo(wanted.X_WL(number), 1e-6)
+    for unit, step, message in (
+        ("hz", 0.25, r"--volume-rate.*unit of time \(xyzt_units\) is 'hz'"),
+        ("unknown", 0.25, "is 'unknown'"),
+        ("sec", 0.0, r"step of time \(pixdim\[4\]\) is 0"),
+    ):
+        image.header.set_xyzt_units("mm", unit)
+        image.header["pixdim"][4] = step
+        nibabel.save(image, tmp_path / "b.nii")
+        with pytest.raises(ConfigurationError, match=message):
+            Recording(tmp_path / "b.nii")
+    image.header.set_xyzt_units("mm", "sec")
+    image.header["pixdim"][4] = 0.25
     image.set_qform(np.diag([0.7, 0.8, 0.9, 1.0]), code=1)
     nibabel.save(image, tmp_path / "b.nii")
     assert (

@@ -96,6 +96,12 @@ def nan_filled(path):
     write_sequence_nrrd(path, [np.full(SHAPE, np.nan, np.float32)] * 2)
 
 
+def posed(matrix):
+    """Fields of volumes that all have one pose."""
+    row = " ".join(map(str, matrix.ravel()))
+    return tracked(4) | {f"Seq_Frame000{k}_ProbeToTrackerTransform": row for k in range(4)}
+
+
 FAULTS = {
     "empty.seq.nrrd": (lambda path: path.write_bytes(b""), "it is empty"),
     "folder.seq.nrrd": (lambda path: path.mkdir(), "it is a folder"),
@@ -115,11 +121,44 @@ FAULTS = {
     "no_times.mha": (lambda p: write_meta_image(p, ARRAYS), "--volume-rate"),
     "invalid.mha": (
         lambda p: write_meta_image(p, ARRAYS, tracked(4, invalid=range(4))),
-        "all of its 4 volumes are invalid",
+        "all of its 4 volumes are invalid: ProbeToTrackerTransformStatus is not OK in 4",
     ),
     "standing.seq.nrrd": (
         lambda p: write_sequence_nrrd(p, ARRAYS, times=[0] * 4),
-        "do not rise; give their rate (--volume-rate)",
+        "do not rise: all are 0 s; give their rate (--volume-rate)",
+    ),
+    "falling.seq.nrrd": (
+        lambda p: write_sequence_nrrd(p, ARRAYS, times=[1.5, 1, 0.5, 0]),
+        "do not rise: that of volume 0 is 1.5 s, and that of volume 1 1 s; give their rate",
+    ),
+    "ms.seq.nrrd": (
+        lambda p: write_sequence_nrrd(p, ARRAYS, times=[1764331200000 + 50 * k for k in range(4)]),
+        "are out of range (+-1e+11 s): 1764331200000 s, as if in ms since 1970; give their rate",
+    ),
+    "unstamped.mha": (
+        lambda p: write_meta_image(
+            p, ARRAYS, tracked(4) | {f"Seq_Frame000{k}_Timestamp": "x" for k in range(1, 4)}
+        ),
+        "are missing in 3 of 4; give their rate",
+    ),
+    "scaled.mha": (
+        lambda p: write_meta_image(p, ARRAYS, posed(np.diag([0.7, 0.7, 0.7, 1]))),
+        "is not a rotation: its axes are scaled by 0.7",
+    ),
+    "mirrored.mha": (
+        lambda p: write_meta_image(p, ARRAYS, posed(np.diag([1, 1, -1, 1]))),
+        "volume 0: Probe to Tracker: ProbeToTracker: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], "
+        "[0.0, 0.0, -1.0]] is not a rotation: it is mirrored",
+    ),
+    "askew.mha": (
+        lambda p: write_meta_image(
+            p, ARRAYS, posed(np.eye(4) + 0.2 * np.eye(4, k=1) * [1, 1, 0, 0])
+        ),
+        "is not a rotation: its axes are not at right angles",
+    ),
+    "transposed.mha": (
+        lambda p: write_meta_image(p, ARRAYS, posed(np.eye(4) + np.eye(4)[[3]].T * [9, 8, 7, 0])),
+        "its translation is in the last row: transposed?",
     ),
     "spacing.seq.nrrd": (
         lambda p: change(write_sequence_nrrd(p, ARRAYS), b"(0.29999999999999999", b"(0.0"),

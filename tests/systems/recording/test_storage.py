@@ -357,6 +357,7 @@ REFUSED = {
     "status": (["Seq_Frame0000_ImageToRTransformStats = OK"], "ImageToRTransformStatus'"),
     "bare": (["DimSize ="], "DimSize: '' is not allowed; expected finite numbers: 3 or 4"),
     "line": (["Comment"], "Comment: it has no value"),
+    "comma": (["ElementSpacing = 0,7 0,7 0,7"], "numbers: 3, with a comma for a point"),
 }
 
 
