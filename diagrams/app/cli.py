@@ -296,8 +296,6 @@ def scan_command(
     changes = list(changes or [])
     if phantom is not None:
         changes.append(f"phantom={phantom}")
-    if scenario is None and time is None:
-        time = 0.0  # The phantom by itself, before the needle is put in.
     loaded = load_scenario(scenario or "chatelain2013_fig5", changes=changes, seed=seed)
     following = require_scenario(loaded, FollowingScenario)
     say_probe(following.probe)

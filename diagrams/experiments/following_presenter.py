@@ -71,14 +71,15 @@ def following_words(scenario: FollowingScenario, tracker: str = "") -> list[str]
     ran = tracker or scenario.tracker.kind
     hand, imaging, probe = placed_hand(scenario), scenario.imaging, scenario.station.probe
     servo = scenario.controller.settings
+    entry = ", ".join(f"{1e3 * each:z.0f}" for each in hand.entry or ())
     sentences = [
         description(scenario.description),
         f"The phantom is {scenario.phantom}, the probe {scenario.probe} on the arm "
         f"{scenario.station.arm}; it starts {1e3 * probe.height:.0f} mm above the phantom, turned "
         f"by {probe.yaw_deg:g} deg, and acquires {imaging.volume_rate:g} volumes a second, "
         f"{1e3 * imaging.depth:.0f} mm deep, at {1e-6 * imaging.transmit_frequency:g} MHz.",
-        f"{needle_words(hand)} enters {1e3 * -_depth(hand):z.0f} mm below the middle of the "
-        f"phantom's top, heads {hand.azimuth_deg:.3g} deg from the phantom's X axis and "
+        f"{needle_words(hand)} enters at ({entry}) mm from the middle of the phantom's top, "
+        f"heads {hand.azimuth_deg:.3g} deg from the phantom's X axis and "
         f"{hand.dip_deg:.3g} deg downwards, and {_pushes(hand)}.",
         _motion(scenario),
         f"The tracker is {ran}; the visual servo's gain is {servo.gain:g}/s"
@@ -86,10 +87,6 @@ def following_words(scenario: FollowingScenario, tracker: str = "") -> list[str]
         f"{servo.force:g} N.",
     ]
     return [each for each in sentences if each]
-
-
-def _depth(hand: InsertionParameters) -> float:
-    return hand.entry[2] if hand.entry is not None else 0.0
 
 
 def _pushes(hand: InsertionParameters) -> str:

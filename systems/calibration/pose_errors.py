@@ -22,6 +22,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 from scipy.stats import t as student
 
+from sonoservo.systems.files.counting import counted
 from sonoservo.systems.shape.normalized_cross_correlation import Match, best_match
 from sonoservo.systems.signals.confidence import squared_distance
 from sonoservo.systems.signals.immutable import Immutable, NotFound, Shape, Vector3
@@ -226,7 +227,7 @@ def estimate_pose_errors(equations: Sequence[PoseEquations]) -> PoseErrors | Not
     """
     used = [each for each in equations if len(each.displacement)]
     if len(used) < _LEAST_PAIRS:
-        return NotFound(f"{len(used)} pairs of volumes show the same tissue, too few")
+        return NotFound(f"{counted(len(used), 'pair')} of volumes with tissue in common: too few")
     A = np.concatenate([each.matrix for each in used]) * _PRIOR
     d = np.concatenate([each.displacement for each in used])
 

@@ -47,6 +47,8 @@ def read_yaml(path: Path) -> dict[str, Any]:
         text = file.read(_MAX_BYTES).decode()
     with refusing_failures(path, "not YAML"):
         data = load_yaml(text)
+    if data is None:
+        raise ConfigurationError(f"{path}: it is empty")
     if not isinstance(data, dict):
         kind = type(data).__name__
         raise ConfigurationError(f"{path}: contains a value of type {kind}; expected a mapping")

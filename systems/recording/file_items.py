@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sonoservo.systems.files.counting import counted
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.volume_file import VolumeFile
 from sonoservo.systems.recording.formats import open_file
@@ -130,6 +131,6 @@ class FileItems:
             )
         if first.dtype != np.uint8:
             said = f"grey levels: {chosen.low:g} is black and {chosen.high:g} white (--window)"
-            more = f"; {blank} blank {self.what}s did not choose" if blank else ""
+            more = f", chosen without {counted(blank, f'blank {self.what}')}" if blank else ""
             self.notes.append(said + more)
         return chosen

@@ -15,6 +15,7 @@ from sonoservo.diagrams.app.options import (
     LiveLimits,
     LogOption,
     Page,
+    Printed,
     Reading,
     ReadingFrames,
     Results,
@@ -287,7 +288,7 @@ def locate_command(
     ],
     curve: Curve,
     reading: ReadingFrames,
-    results: Results,
+    printed: Printed,
     number: Annotated[
         int, typer.Option(help="Number of the volume, from 0, if the file has several.")
     ] = 0,
@@ -314,7 +315,7 @@ def locate_command(
     for name, value in found.items():
         shown = np.round(value, 3).tolist() if isinstance(value, list | float) else value
         say(f"{name}: {shown}")
-    write_printed(results.json_path, found)
+    write_printed(printed.json_path, found)
     if not found["found"]:
         if len(opened) > 1:
             say_notes(

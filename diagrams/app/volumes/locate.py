@@ -118,7 +118,7 @@ def locate_in_recording(
     order: int = 2,
     parameters: NeedleLocalizerParameters | None = None,
 ) -> dict[str, Any]:
-    """Locate the needle in a volume of a file; return figures to print, in LPS and mm."""
+    """Locate the needle in a volume of a file; return figures to print, in mm in its frame."""
     if not 0 <= number < len(recording):
         raise ConfigurationError(
             f"{recording.path}: volume {number} is out of range (0 to {len(recording) - 1})"
@@ -130,11 +130,12 @@ def locate_in_recording(
     X_LW = recording.X_WL(number).inverse()
     curve, R_LW = found.curve.transformed(X_LW), X_LW.rotation().matrix()
     return result | {
-        "entry_lps_mm": (1e3 * curve.entry).tolist(),
-        "tip_lps_mm": (1e3 * curve.tip).tolist(),
-        "tip_covariance_lps_mm2": (1e6 * R_LW @ found.covariance @ R_LW.T).tolist(),
-        "direction_lps": curve.direction.tolist(),
-        "control_points_lps_mm": (1e3 * curve.control_points).tolist(),
+        "frame": recording.frame,
+        "entry_mm": (1e3 * curve.entry).tolist(),
+        "tip_mm": (1e3 * curve.tip).tolist(),
+        "tip_covariance_mm2": (1e6 * R_LW @ found.covariance @ R_LW.T).tolist(),
+        "direction": curve.direction.tolist(),
+        "control_points_mm": (1e3 * curve.control_points).tolist(),
         "length_mm": 1e3 * curve.chord,
         "inliers": found.inlier_count,
         "inlier_ratio": found.inlier_ratio,

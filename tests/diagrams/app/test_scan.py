@@ -73,7 +73,7 @@ def test_the_sheet_reads_in_millimetres_and_decibels(shown):
 def test_command_writes_picture_volume_and_figures(tmp_path):
     probe = tmp_path / "mine.yaml"
     probe.write_text("transducer: {array_radius: 0.040}\n")
-    result = sonoservo_here("scan", SCENARIO, "--out", str(tmp_path / "new"), "--seed", "2",
+    result = sonoservo_here("scan", "--out", str(tmp_path / "new"), "--seed", "2",
                        "--json", str(tmp_path / "scan.json"),
                        "--set", f"probe={probe}")  # fmt: skip
     assert result.returncode == 0, result.stderr
@@ -84,6 +84,7 @@ def test_command_writes_picture_volume_and_figures(tmp_path):
     data, header = nrrd.read(str(tmp_path / "new" / "scan.nrrd"))
     figures = json.loads((tmp_path / "scan.json").read_text())
     assert figures["seed"] == 2
+    assert figures["inserted_mm"] > 50  # of fig. 5, when the needle is deepest
     assert list(data.shape) == figures["voxels"]
     np.testing.assert_allclose(np.diag(header["space directions"]), figures["spacing_mm"])
 

@@ -39,8 +39,8 @@ def test_anisotropic_voxels_show_the_same_needle(tmp_path):
         array = voxels.astype(np.uint8)
         write_nrrd(tmp_path / "b.nrrd", array, np.diag(other), 1e3 * volume.origin)
         found = locate_in_recording(Recording(tmp_path / "b.nrrd", volume_rate=1.0))
-        tips.append(np.linalg.norm(np.subtract(found["tip_lps_mm"], wanted["tip_lps_mm"])))
-        cosine = np.dot(found["direction_lps"], wanted["direction_lps"])
+        tips.append(np.linalg.norm(np.subtract(found["tip_mm"], wanted["tip_mm"])))
+        cosine = np.dot(found["direction"], wanted["direction"])
         angles.append(np.degrees(np.arccos(min(cosine, 1))))
     assert np.median(tips) <= 0.4
     assert np.median(angles) <= 0.3
@@ -133,8 +133,8 @@ def assert_on_a_line(found, lines):
     k = (lines[:, 1:] - lines[:, :1]) / np.linalg.norm(lines[:, 1:] - lines[:, :1], axis=2)[
         ..., None
     ]
-    away = np.array([found["entry_lps_mm"], found["tip_lps_mm"]]) - lines[:, :1]
+    away = np.array([found["entry_mm"], found["tip_mm"]]) - lines[:, :1]
     away = np.linalg.norm(away - np.sum(away * k, axis=-1, keepdims=True) * k, axis=-1)
     nearest = away.max(axis=1).argmin()
-    angle = np.degrees(np.arccos(min(abs(k[nearest, 0] @ found["direction_lps"]), 1)))
+    angle = np.degrees(np.arccos(min(abs(k[nearest, 0] @ found["direction"]), 1)))
     assert (away[nearest].max() <= 0.6, angle <= 0.5) == (True, True), (away[nearest], angle)

@@ -55,7 +55,8 @@ def test_a_needle_is_located_in_a_single_sweep(tmp_path, capsys):
     assert run_arguments(arguments) == 0
     printed = capsys.readouterr()
     found = json.loads(printed.out)
-    assert np.linalg.norm(1e-3 * np.array(found["tip_lps_mm"]) - X_WP.multiply(TIP)) < 1.5e-3
+    assert found["frame"] == "the frame of the poses"
+    assert np.linalg.norm(1e-3 * np.array(found["tip_mm"]) - X_WP.multiply(TIP)) < 1.5e-3
     for said in ("single sweep", "Poses: Image to Reference", "guide wire"):
         assert said in printed.err
 
