@@ -66,7 +66,7 @@ def test_implausible_volumes_are_refused_and_tracking_goes_on(volumes, estimates
         *volumes[first : first + 2],
     ]
     results = list(track(fed))
-    said = ("s after that of", "blank", "older than")
+    said = ("s after that of", "blank", "before that of the volume before")
     for refused, reason in zip(results[first:], said, strict=False):
         assert refused.time == results[first - 1].time
         assert reason in refused.reason
