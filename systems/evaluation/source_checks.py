@@ -634,7 +634,7 @@ def check_contents(volumes: Iterable[NDArray[Any]], what: str = "volumes") -> li
             nothing.append(read - 1)
         elif last is not None and np.array_equal(voxels, last, equal_nan=True):
             repeats.append(read - 1)
-        elif _lost_slices(known):
+        elif not known.all() and _lost_slices(known):  # most files hold no NaN at all
             shares[read - 1] = 100 * float(known.mean())
         last = voxels
     found = [
