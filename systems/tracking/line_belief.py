@@ -78,6 +78,10 @@ _NEUTRAL, _BEST_LOOKS, _MOST_LOOKS = -4.0, 2.0, (-20.0, 4.0)
 """Log odds of looks that speak neither for nor against a needle (about one in sixty bright lines is
 one), the largest that count for a line that moves like a needle, and their limits in one volume."""
 
+_BESIDE, _PARALLEL = 4e-3, 0.05
+"""Standard deviations of the distances in m and of the angles in rad between lines of one structure,
+such as the walls of a vessel or the faces of a bone."""
+
 _SAME, _OVERLAP, _BETTER = 3e-3, 10e-3, 4.0
 """Distance in m up to which the ends of two fits belong to one line, length in m by which its
 parts may be apart, and sum of contrasts in dB, of one bin, by which a better fit replaces it."""
@@ -234,6 +238,7 @@ class LineBelief(Immutable):
         odds = odds + likes - _NEUTRAL
         ends = _seen_ends(lines)
         if len(lines):
+            odds -= _of_structures(lines, self.births, self.memory[-1].volume)
             ends = self.memory[-1].in_world(ends.reshape(-1, 3)).reshape(-1, 2, 3)
         backwards = _backwards(lines)
         return LineHypotheses(
@@ -260,7 +265,7 @@ def follow(belief: LineBelief, volume: Volume, *, look: bool = False) -> LineBel
     fits = fitted_lines(volume, cells)
     lines, memory, appearing = seen()
     born = belief.born
-    needle = _NEEDLES / max(belief.births, 1.0)
+    needle = _needle_prior(belief.births)
     prior = np.log(np.r_[needle / 2, needle / 2, (1 - needle) * _OTHERS])
     lines, born = _add_fits(lines, fits, memory, born, prior)
     births = belief.births + _BIRTHS * (born - belief.born - belief.births)
@@ -520,6 +525,41 @@ def _along(fresh: Lines, lines: Lines) -> NDArray[np.bool_]:
         a.min(axis=1), lines.spans[:, 0]
     )
     return np.asarray((off.max(axis=1) < _SAME) & (overlap > -2 * _OVERLAP))
+
+
+def _needle_prior(births: float) -> float:
+    """Return the prior probability that a line is a needle, if so many come with a volume."""
+    return _NEEDLES / max(births, 1.0)
+
+
+def _of_structures(lines: Lines, births: float, volume: Volume) -> Floats:
+    """Return (n,) logarithms by which lines are less probably needles, as they lie along others.
+
+    A structure shows itself as several lines side by side, and where it shines moves across it with
+    the probe, so one of its lines may seem to advance. A needle lies along them by chance only.
+    """
+    away = lines.points[:, np.newaxis] - lines.points
+    a = np.sum(away * lines.directions, axis=-1)
+    off = np.linalg.norm(away - a[..., np.newaxis] * lines.directions, axis=-1)
+    turn = np.linalg.norm(np.cross(lines.directions[:, np.newaxis], lines.directions), axis=-1)
+    near = np.exp(-0.5 * ((off / _BESIDE) ** 2 + (turn / _PARALLEL) ** 2))
+    # Shares of their lengths that lie beside another one; those across it count for nothing anyway.
+    sense = np.sign(lines.directions @ lines.directions.T)
+    ends = a[..., np.newaxis] + sense[..., np.newaxis] * lines.spans[:, np.newaxis]
+    beside = np.minimum(ends.max(axis=-1), lines.spans[:, 1]) - np.maximum(
+        ends.min(axis=-1), lines.spans[:, 0]
+    )
+    near *= np.maximum(beside, 0) / np.ptp(lines.spans, axis=1)[:, np.newaxis]
+    np.fill_diagonal(near, 0)
+    # A still probe does not tell what rests from what rides. A line that is no less probably a
+    # needle than when it was new may be another fit of the same needle.
+    needle = np.logaddexp(lines.classes[:, 0], lines.classes[:, 1])
+    still = np.logaddexp(lines.classes[:, 2], lines.classes[:, 3])
+    before = np.log(_needle_prior(births) / _OTHERS[:2].sum())
+    rests = -np.exp(still) * np.expm1(np.minimum(needle - still - before, 0))
+    field = np.prod(volume.spacing * volume.intensities.shape) ** (2 / 3)
+    chance = 2 * np.pi * (_BESIDE * _PARALLEL) ** 2 / field
+    return np.asarray(np.log1p(near @ rests / max(rests.sum(), 1.0) / chance))
 
 
 def explain_lines(belief: LineBelief, count: int = 6) -> LinesExplanation | NotFound:

@@ -13,7 +13,13 @@ from synthetic_volumes import line
 from sonoservo.systems.signals import NeedleCurve, NeedleEstimate, NotFound, TrackingMode, Volume
 from sonoservo.systems.signals.line_hypotheses import LINE_CLASSES
 from sonoservo.systems.tracking import LineFollower
-from sonoservo.systems.tracking.line_belief import LineBelief, explain_lines, follow
+from sonoservo.systems.tracking.line_belief import (
+    LineBelief,
+    _new_lines,
+    _of_structures,
+    explain_lines,
+    follow,
+)
 
 START = np.array([-0.025, 0.03, 0.02])
 K = np.array([0.92, 0.25, 0.3]) / np.linalg.norm([0.92, 0.25, 0.3])
@@ -109,6 +115,31 @@ def test_a_structure_ahead_on_the_same_line_is_no_part_of_the_needle(moving):
             surest.append(np.linalg.norm(lines.ends[best, 1] - pushed(lines.time)[1]))
     assert len(surest) > 4
     assert max(surest) < 6e-3
+
+
+def test_a_line_along_one_at_rest_is_less_probably_a_needle():
+    """Its odds fall by the ratio of how densely lines of a structure, and needles, lie there."""
+    wall = np.array([[0.0, 0.05, 0.03], [0.06, 0.05, 0.03]])
+    turn = np.radians(20)
+    turned = [[np.cos(turn), 0, np.sin(turn)], [0, 1, 0], [-np.sin(turn), 0, np.cos(turn)]]
+    others = {
+        "aside": wall + [0, 0, 3e-3],
+        "farther": wall + [0, 0, 30e-3],
+        "beyond its end": wall + [0.06, 0, 3e-3],
+        "half beyond": wall + [0.03, 0, 3e-3],
+        "across": wall.mean(axis=0) + (wall - wall.mean(axis=0)) @ np.transpose(turned),
+    }
+    ends = np.array([wall, *others.values()])
+    lines = _new_lines(ends, ends, np.arange(len(ends)), 1)
+    resting = np.log(np.full((len(ends), 6), 1e-9))
+    resting[:, 2] = 0.0  # all rest, but only the first is long known to
+    resting[1:, 0] = 0.0
+    volume = volumes(False, False)[0]
+    lost = _of_structures(replace(lines, classes=resting), 1.0, volume)
+    density = 1 / (2 * np.pi * (4e-3 * 0.05) ** 2) * np.prod(SPACING * np.array(SHAPE)) ** (2 / 3)
+    near = density * np.exp(-0.5 * (3 / 4) ** 2)
+    expected = [0.0, np.log1p(near), 0.0, 0.0, np.log1p(near / 2), 0.0]
+    np.testing.assert_allclose(lost, expected, atol=0.01)
 
 
 def test_older_volumes_are_remembered_more_sparsely_while_the_tissue_is_the_same():
