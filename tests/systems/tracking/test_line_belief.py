@@ -120,13 +120,14 @@ def test_a_structure_ahead_on_the_same_line_is_no_part_of_the_needle(moving):
 def test_a_line_along_one_at_rest_is_less_probably_a_needle():
     """Its odds fall by the ratio of how densely lines of a structure, and needles, lie there."""
     wall = np.array([[0.0, 0.05, 0.03], [0.06, 0.05, 0.03]])
+    aside, along = np.array([0.0, 0.0, 3e-3]), wall[1] - wall[0]
     turn = np.radians(20)
     turned = [[np.cos(turn), 0, np.sin(turn)], [0, 1, 0], [-np.sin(turn), 0, np.cos(turn)]]
     others = {
-        "aside": wall + [0, 0, 3e-3],
-        "farther": wall + [0, 0, 30e-3],
-        "beyond its end": wall + [0.06, 0, 3e-3],
-        "half beyond": wall + [0.03, 0, 3e-3],
+        "aside": wall + aside,
+        "farther": wall + 10 * aside,
+        "beyond its end": wall + aside + along,
+        "half beyond": wall + aside + along / 2,
         "across": wall.mean(axis=0) + (wall - wall.mean(axis=0)) @ np.transpose(turned),
     }
     ends = np.array([wall, *others.values()])
