@@ -79,8 +79,8 @@ _NEUTRAL, _BEST_LOOKS, _MOST_LOOKS = -4.0, 2.0, (-20.0, 4.0)
 one), the largest that count for a line that moves like a needle, and their limits in one volume."""
 
 _BESIDE, _PARALLEL = 4e-3, 0.05
-"""Standard deviations of distances in m and of angles in rad between lines of one structure, such as
-the walls of a vessel or the faces of a bone."""
+"""Standard deviations of distances in m and of angles in rad between lines of one structure, such
+as the walls of a vessel or the faces of a bone."""
 
 _SAME, _OVERLAP, _BETTER = 3e-3, 10e-3, 4.0
 """Distance in m up to which the ends of two fits belong to one line, length in m by which its
