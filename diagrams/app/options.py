@@ -69,7 +69,12 @@ MemoryOption = Annotated[
 
 def _metres(given: Any) -> float:
     """Return a length in m of a text in mm; a default is in m already."""
-    return 1e-3 * float(given) if isinstance(given, str) else given
+    if not isinstance(given, str):
+        return given
+    length = float(given)
+    if not length >= 0:
+        raise typer.BadParameter(f"{given} is not allowed; expected a length in mm")
+    return 1e-3 * length
 
 
 def millimetres(name: str, help: str) -> Any:

@@ -71,7 +71,11 @@ def load_factory(text: str) -> Callable[[], Any]:
         sys.path.insert(0, "")
     try:
         found = getattr(import_module(module.removesuffix(".py")), name)
-    except Exception as error:  # whatever a module does when it is imported
+    except (Exception, SystemExit) as error:  # whatever a module does when it is imported
+        if isinstance(error, ModuleNotFoundError) and error.name == module.removesuffix(".py"):
+            raise ConfigurationError(
+                f"{text}: there is no module {error.name!r}, neither installed nor in {Path.cwd()}"
+            ) from error
         raise ConfigurationError(f"{text}: {type(error).__name__}: {error}") from error
     if not callable(found):
         raise ConfigurationError(f"{text}: {name} is not a function that makes a tracker")

@@ -11,6 +11,8 @@ from sonoservo.systems.files.typed_yaml import read_yaml, suggest
 
 T = TypeVar("T")
 
+_MODELS = model_path("package.xml").parent
+
 
 def read_once(read: Callable[[Path], T]) -> Callable[[Path], T]:
     """Decorate a model's reader to read again only after a change; the result is shared."""
@@ -29,17 +31,21 @@ def read_once(read: Callable[[Path], T]) -> Callable[[Path], T]:
 
 def model_file(folder: str, name: str) -> Path:
     """Return the path of a model by its name in a folder of our models, or of a user's file."""
-    own = Path(name)
-    if own.suffix and not own.is_file():
-        raise FileNotFoundError(f"{folder.removesuffix('s')}: there is no file {name}")
-    if own.suffix and own.suffix not in (".yaml", ".yml", ".json"):  # JSON is YAML as well
+    own, kind = Path(name), folder.removesuffix("s")
+    if not own.suffix:
+        ours = {each.stem: each for each in _MODELS.joinpath(folder).glob("*.yaml")}
+        if name not in ours:
+            raise FileNotFoundError(f"{kind}: there is no {name!r}; {suggest(name, ours)}")
+        return ours[name]
+    if not own.is_file():
+        raise FileNotFoundError(f"{kind}: there is no file {name}")
+    if own.suffix not in (".yaml", ".yml", ".json"):  # JSON is YAML as well
         own, data = own.with_name(own.name.split(".")[0] + ".yaml"), own
         if not own.is_file():
             raise FileNotFoundError(
-                f"{folder.removesuffix('s')}: {data} needs a file {own.name} beside it that says "
-                "what it is made of"
+                f"{kind}: {data} needs a file {own.name} beside it that says what it is made of"
             )
-    return own if own.suffix else model_path(f"{folder}/{name}.yaml")
+    return own
 
 
 def lasting_name(name: str) -> str:

@@ -157,7 +157,7 @@ def test_another_probe_chooses_a_frequency_unless_one_is_given_or_fits(tmp_path)
     file.write_text("{probe: trus, imaging: {transmit_frequency: 3.3e6}}")
     assert frequency(file) == 3.3e6  # a mistake of one's own, which is said
     assert frequency(load_scenario("carriere2016_d60"), "probe=matrix") == 3.5e6
-    with pytest.raises(ConfigurationError, match="clinic: there is no model 'probes/linear"):
+    with pytest.raises(ConfigurationError, match="clinic: probe: there is no 'linear'"):
         frequency("clinic", "probe=linear")
 
 

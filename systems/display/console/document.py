@@ -47,7 +47,7 @@ _RING = 2.5  # Radius of the ring at the tip, in mm
 # Name, axis, lines (column, colour and label) and smallest range of each strip; None is 0 to 1.
 _LINES: Sequence[tuple[str, str, Sequence[tuple[str, str, str]], float | None]] = (
     ("features", "X, Z (mm)", (("x", _FIRST, "X"), ("z", _SECOND, "Z")), 2.0),
-    ("angle", "Theta (°)", (("theta", _FIRST, ""),), 4.0),
+    ("angle", "Theta (deg)", (("theta", _FIRST, ""),), 4.0),
     ("force", "force (N)", (("force", _FIRST, "force"), ("target", _SECOND, "target")), 1.0),
     ("error", "error (mm)", (("error", _FIRST, ""),), 0.5),
     ("probability", "P(needle)", (("probability", _FIRST, ""),), None),

@@ -90,7 +90,7 @@ def test_command_writes_picture_volume_and_figures(tmp_path):
 
 
 def test_a_mistake_is_refused():
-    with pytest.raises(ConfigurationError, match="there is no model"):
+    with pytest.raises(ConfigurationError, match="phantom: there is no 'agr'; did you mean 'agar'"):
         scan(SCENARIO, changes=["phantom=agr"])
     with pytest.raises(ConfigurationError, match="time: -5.0 is not allowed"):
         scan(SCENARIO, time=-5.0)

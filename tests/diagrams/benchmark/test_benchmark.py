@@ -171,7 +171,7 @@ def test_a_wrong_table_is_refused_with_its_place(text, said):
     ("name", "said"),
     [
         ("chatelain2031", "chatelain2013"),
-        ("no.such:make", "ModuleNotFoundError"),
+        ("nosuch:make", "there is no module 'nosuch'"),
         ("math:pi", "not a function"),
     ],
 )
