@@ -238,7 +238,10 @@ class LineBelief(Immutable):
         odds = odds + likes - _NEUTRAL
         ends = _seen_ends(lines)
         if len(lines):
-            odds -= _of_structures(lines, self.births, self.memory[-1].volume)
+            # Of improbable needles it does not matter.
+            likely = np.flatnonzero(odds > 0)
+            volume = self.memory[-1].volume
+            odds[likely] -= _of_structures(lines.take(likely), lines, self.births, volume)
             ends = self.memory[-1].in_world(ends.reshape(-1, 3)).reshape(-1, 2, 3)
         backwards = _backwards(lines)
         return LineHypotheses(
@@ -532,25 +535,25 @@ def _needle_prior(births: float) -> float:
     return _NEEDLES / max(births, 1.0)
 
 
-def _of_structures(lines: Lines, births: float, volume: Volume) -> Floats:
-    """Return (n,) logarithms by which lines are less probably needles, as they lie along others.
+def _of_structures(some: Lines, lines: Lines, births: float, volume: Volume) -> Floats:
+    """Return (m,) logarithms by which some of the lines are less probably needles.
 
     A structure shows itself as several lines side by side, and where it shines moves across it with
     the probe, so one of its lines may seem to advance. A needle lies along them by chance only.
     """
-    away = lines.points[:, np.newaxis] - lines.points
+    away = some.points[:, np.newaxis] - lines.points
     a = np.sum(away * lines.directions, axis=-1)
     off = np.linalg.norm(away - a[..., np.newaxis] * lines.directions, axis=-1)
-    turn = np.linalg.norm(np.cross(lines.directions[:, np.newaxis], lines.directions), axis=-1)
+    turn = np.linalg.norm(np.cross(some.directions[:, np.newaxis], lines.directions), axis=-1)
     near = np.exp(-0.5 * ((off / _BESIDE) ** 2 + (turn / _PARALLEL) ** 2))
     # Shares of their lengths that lie beside another one; those across it count for nothing anyway.
-    sense = np.sign(lines.directions @ lines.directions.T)
-    ends = a[..., np.newaxis] + sense[..., np.newaxis] * lines.spans[:, np.newaxis]
+    sense = np.sign(some.directions @ lines.directions.T)
+    ends = a[..., np.newaxis] + sense[..., np.newaxis] * some.spans[:, np.newaxis]
     beside = np.minimum(ends.max(axis=-1), lines.spans[:, 1]) - np.maximum(
         ends.min(axis=-1), lines.spans[:, 0]
     )
-    near *= np.maximum(beside, 0) / np.ptp(lines.spans, axis=1)[:, np.newaxis]
-    np.fill_diagonal(near, 0)
+    near *= np.maximum(beside, 0) / np.ptp(some.spans, axis=1)[:, np.newaxis]
+    near[some.numbers[:, np.newaxis] == lines.numbers] = 0
     # A still probe does not tell what rests from what rides. A line that is no less probably a
     # needle than when it was new may be another fit of the same needle.
     needle = np.logaddexp(lines.classes[:, 0], lines.classes[:, 1])

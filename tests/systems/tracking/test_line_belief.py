@@ -136,7 +136,8 @@ def test_a_line_along_one_at_rest_is_less_probably_a_needle():
     resting[:, 2] = 0.0  # all rest, but only the first is long known to
     resting[1:, 0] = 0.0
     volume = volumes(False, False)[0]
-    lost = _of_structures(replace(lines, classes=resting), 1.0, volume)
+    lines = replace(lines, classes=resting)
+    lost = _of_structures(lines, lines, 1.0, volume)
     density = 1 / (2 * np.pi * (4e-3 * 0.05) ** 2) * np.prod(SPACING * np.array(SHAPE)) ** (2 / 3)
     near = density * np.exp(-0.5 * (3 / 4) ** 2)
     expected = [0.0, np.log1p(near), 0.0, 0.0, np.log1p(near / 2), 0.0]
