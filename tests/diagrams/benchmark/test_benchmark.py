@@ -172,6 +172,7 @@ def test_a_wrong_table_is_refused_with_its_place(text, said):
     [
         ("chatelain2031", "chatelain2013"),
         ("nosuch:make", "there is no module 'nosuch'"),
+        ("no.such:make", "ModuleNotFoundError"),
         ("math:pi", "not a function"),
     ],
 )
