@@ -134,7 +134,10 @@ class GreyLevels:
 
     window: Annotated[
         tuple[float, float] | None,
-        typer.Option(help="Numbers shown as black and white; by default, from the first volumes."),
+        typer.Option(
+            help="Numbers shown as black and white, such as --window 0 200; by default, from the "
+            "first volumes."
+        ),
     ] = None
     dynamic_range_db: Annotated[
         float | None, typer.Option(help="dB from black to white; by default, from the file or 60.")

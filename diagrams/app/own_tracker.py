@@ -17,6 +17,7 @@ from sonoservo.systems.files.volume_file import MAX_STEP
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
 from sonoservo.systems.signals.volume import Volume
 
+_OURS = tuple(str(Path(__file__).parents[2] / part) for part in ("systems", "diagrams"))
 _FARTHEST = 1.0  # distance of a tip from the probe in m: no image is as deep
 
 OwnTracker: TypeAlias = System | Callable[[Volume], NeedleEstimate] | str
@@ -111,10 +112,13 @@ class _FunctionTracker(LeafSystem):
         except ConfigurationError:
             raise
         except Exception as error:
-            where = extract_tb(error.__traceback__)[-1]
+            theirs = [
+                e for e in extract_tb(error.__traceback__) if not e.filename.startswith(_OURS)
+            ]
+            where = f", in {theirs[-1].filename}, line {theirs[-1].lineno}" if theirs else ""
             raise ConfigurationError(
-                f"{self._name}: this tracker of yours failed at {volume.time:.2f} s, in "
-                f"{where.filename}, line {where.lineno}: {type(error).__name__}: {describe(error)}"
+                f"{self._name}: this tracker of yours failed at {volume.time:.2f} s{where}: "
+                f"{type(error).__name__}: {describe(error)}"
             ) from error
         if estimate and (estimate.velocity is None or estimate.covariance is None):
             raise ConfigurationError(

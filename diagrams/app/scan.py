@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from pydrake.math import RigidTransform
 
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
-from sonoservo.diagrams.experiments.following_scene import make_insertion
+from sonoservo.diagrams.experiments.following_scene import check_entry, make_insertion
 from sonoservo.diagrams.experiments.registry import load_scenario
 from sonoservo.diagrams.scenario import Scenario, require_scenario
 from sonoservo.diagrams.scene import Scene
@@ -99,8 +99,12 @@ def _scan(
 ) -> Scan:
     insertion = make_insertion(scenario)
     scene = Scene.of(scenario, insertion, reaction=scenario.tissue_reaction)
-    if time is None:
-        time = float(max(np.linspace(0, scenario.duration, 200), key=insertion.depth))
+    deepest = float(max(np.linspace(0, scenario.duration, 200), key=insertion.depth))
+    whole, surface = insertion.needle(deepest), scene.tissue.surface
+    # It may come from outside a phantom that is smaller than the scenario's.
+    if whole and not surface.contains(whole.position(np.arange(0, whole.length, 1e-3))).any():
+        check_entry(scenario, surface)
+    time = deepest if time is None else time
     require_not_negative(time=time)
     geometry, station = scene.geometry, scenario.station
     middle = geometry.frames // 2

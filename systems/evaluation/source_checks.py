@@ -57,10 +57,6 @@ _FASTEST = 1.0  # highest speed in m/s at which a hand or a robot moves a probe
 _AXIAL_MM, _ACROSS_MM = (0.05, 3.0), (0.15, 12.0)
 """Widths of speckle along and across the sound, of probes from 2 to 20 MHz."""
 
-_RAYLEIGH, _LOGARITHM = 0.63, -1.14
-"""Skewness of the amplitudes of fully developed speckle, and of their logarithms; that of the
-powers is 2. Noise and averaging bring all nearer to 0."""
-
 _BLOCK, _LEAST_BLOCKS = 8e-3, 5
 """Edge length in m of the blocks whose skewness is measured, and number of them that tells it."""
 
@@ -69,8 +65,10 @@ _CLIPPED = 0.05
 takes the skewness of logarithms from -1.14 to -0.46, and that of amplitudes to 0.70."""
 
 _SKEWED = 0.5
-"""Skewness above which numbers are amplitudes. That of a log-compressed volume of our scanner whose
-tissue is hardly brighter than black is up to 0.38."""
+"""Skewness above which numbers are not log-compressed. That of the amplitudes of fully developed
+speckle is 0.63, that of their logarithms -1.14, and that of the powers 2; noise and averaging bring
+all nearer to 0. A log-compressed volume of our scanner whose tissue is hardly brighter than black
+has up to 0.38."""
 
 _SATURATED = (
     0.05  # share of what was seen that is as bright as can be, above which gain hides echoes
@@ -155,7 +153,7 @@ class _Fault(Enum):
             "acquire at a rate that disk and network keep up with")  # fmt: skip
     NO_STAMP = (Check.CLOCK, Grade.DOUBTFUL,
                 "{what} without a time stamp in range: {missing}; they are left out",
-                "look at the clock of the program that acquires them")  # fmt: skip
+                "let the program that acquires them write the time of each")  # fmt: skip
     CLOCK = (Check.CLOCK, Grade.DOUBTFUL,
              "{how} {back} x, first from number {before} to {number}; {what} left out for it: "
              "{left}",
@@ -175,7 +173,7 @@ class _Fault(Enum):
                    "calibrate ImageToProbe")  # fmt: skip
     LOST_POSES = (Check.MOTION, Grade.DOUBTFUL,
                   "{name}: poses missing or marked invalid: {lost} of {count}",
-                  "keep the probe in the tracker's sight")  # fmt: skip
+                  "keep the probe in the tracker's sight, or mend the table's rows")  # fmt: skip
     REPEATED = (Check.MOTION, Grade.DOUBTFUL,
                 "{name}: {share:.0f} % of the poses repeat the one before",
                 "let the tracker measure at least as often as images are taken")  # fmt: skip
@@ -211,16 +209,19 @@ class _Fault(Enum):
              "neighbouring voxels are unrelated, as in no ultrasound image",
              "look at the type and the byte order that the header states")  # fmt: skip
     LINEAR = (Check.CONTENT, Grade.DOUBTFUL,
-              "its numbers are amplitudes, it seems: their speckle has a skewness of "
-              "{skewness:.2f}, and below {most:.2f} if it is log-compressed",
-              "compress them (20 log10), as scanners do for their screens")  # fmt: skip
-    POWERS = (Check.CONTENT, Grade.DOUBTFUL,
-              "it is dark where the echo is strong, or its numbers are powers, it seems: their "
-              "speckle has a skewness of {skewness:.2f}, and below 0 if it is log-compressed",
-              "turn the grey levels round, or compress the powers (10 log10)")  # fmt: skip
+              "its numbers are amplitudes or powers, it seems, or it is dark where the echo is "
+              "strong: their speckle has a skewness of {skewness:.2f}, and below {most:.2f} if it "
+              "is log-compressed",
+              "compress amplitudes (20 log10) or powers (10 log10), as scanners do for their "
+              "screens, or turn the grey levels round")  # fmt: skip
     SATURATED = (Check.CONTENT, Grade.DOUBTFUL,
                  "{share:.0f} % of what was seen is as bright as can be",
                  "lower the gain, widen --window, or invert the grey levels")  # fmt: skip
+    LEFT_HANDED = (Check.GRID, Grade.DOUBTFUL,
+                   "its axes are left-handed, so it shows a mirror image unless they are meant to "
+                   "be",
+                   "look whether the probe's mark is on the right side of the picture, and mend "
+                   "the directions of the axes if not")  # fmt: skip
     UPSIDE_DOWN = (Check.GRID, Grade.DOUBTFUL,
                    "the field of view is widest near the probe and narrows with depth, as if the "
                    "sound ran the other way",
@@ -433,9 +434,13 @@ def _usual_step(p: NDArray[np.float64]) -> float:
     return float(np.median(steps[steps > 0])) if steps.any() else 0.0
 
 
-def check_spacing(spacing: ArrayLike, shape: ArrayLike) -> list[Finding]:
-    """Check the distances between voxels, (3,) in mm, for defaults and for other units."""
-    steps = np.asarray(spacing, float)
+def check_grid(directions: ArrayLike, shape: ArrayLike) -> list[Finding]:
+    """Check (3, 3) steps between voxels in mm, one a column, for mirroring, defaults and units."""
+    mirrored = [_Fault.LEFT_HANDED()] if np.linalg.det(directions) < 0 else []
+    return [*mirrored, *_check_spacing(np.linalg.norm(directions, axis=0), shape)]
+
+
+def _check_spacing(steps: NDArray[np.float64], shape: ArrayLike) -> list[Finding]:
     shown = " x ".join(f"{each:.4g}" for each in steps)
     if np.allclose(steps, 1.0, atol=1e-6):
         return [_Fault.UNIT_SPACING(shown=shown)]
@@ -543,8 +548,6 @@ def _check_compression(volume: Volume) -> list[Finding]:
         )
         return [_fine(Check.CONTENT, text)]
     skewness = float(np.median(skew(judged, axis=1)))
-    if skewness > (_RAYLEIGH - _LOGARITHM) / 2:
-        return [_Fault.POWERS(skewness=skewness)]
     return [_Fault.LINEAR(skewness=skewness, most=_SKEWED)] if skewness > _SKEWED else []
 
 

@@ -53,13 +53,13 @@ def numbered_fields(
     """Return fields with the number of their volume.
 
     Those of a file's only volume may have none, and a transform without one, such as the
-    calibration, is that of all. ``known`` are the fields of a whole file, and ``count`` is the
-    number of its volumes.
+    calibration, is that of all, with its status. ``known`` are the fields of a whole file, and
+    ``count`` is the number of its volumes.
     """
     numbered, others = dict[str, str](), dict[str, str]()
     for name, value in fields.items():
         plain = _is_frame_field(name) and name not in known and not _FRAME_FIELD.fullmatch(name)
-        if plain and (count == 1 or name.endswith("Transform")):
+        if plain and (count == 1 or name.endswith(("Transform", "TransformStatus"))):
             numbered |= {f"Seq_Frame{k:04d}_{name}": value for k in range(count)}
         else:
             others[name] = value
@@ -157,8 +157,12 @@ def as_plus_means(file: VolumeFile, orientation: str = "") -> VolumeFile:
                 f"{file.path}: FrameSize: that of image {number} is {size!r}, and the file's is "
                 f"{file.shape[0]} x {file.shape[1]}"
             )
-    letters = sequence_field(file.fields, "UltrasoundImageOrientation").upper() or orientation
-    if letters in ("", "XX", "XXX", "UNKNOWN", "MF", "MFA"):
+    letters = sequence_field(file.fields, "UltrasoundImageOrientation").upper()
+    if letters in ("XX", "XXX", "UNKNOWN") and not orientation:
+        note = f"UltrasoundImageOrientation is {letters}: read as MF, it may be mirrored"
+        return replace(file, notes=(*file.notes, note))
+    letters = orientation if letters in ("", "XX", "XXX", "UNKNOWN") else letters
+    if letters in ("", "MF", "MFA"):
         return file
     flat = file.shape[2] == 1
     axes = [_LETTERS.get(letter, (-1, 0)) for letter in letters]

@@ -14,6 +14,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
+import numpy as np
 import yaml
 
 from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
@@ -168,10 +169,11 @@ class _Loader:
             return self._choose(hint, value, path, default)
         if dataclasses.is_dataclass(hint) or hasattr(hint, "__fields__"):
             return self.fill(hint, value, path, default)
-        if origin is list:
+        if origin is list or hint is np.ndarray:
             if not isinstance(value, list):
                 self._refuse(path, value, "a list")
-            return [self.make(options[0], item, f"{path}.{k}") for k, item in enumerate(value)]
+            each = options[0] if options else float
+            return [self.make(each, item, f"{path}.{k}") for k, item in enumerate(value)]
         if origin is dict:
             if not isinstance(value, Mapping):
                 self._refuse(path, value, "a mapping")

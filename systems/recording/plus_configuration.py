@@ -159,8 +159,10 @@ def read_calibration(text: str) -> tuple[str, NDArray[np.float64]]:
             read_matrix(source, name, " ".join(part)) for part in (words[:16], words[16:])
         )
         return name.strip(), turn @ scale
-    if len(words) != 16:
+    if not words:
         raise ConfigurationError(
-            f"calibration: {rest[:60]!r} is neither 16 numbers, row by row, nor a file with them"
+            f"calibration: there is no file {rest[:60]!r} with numbers; expected 16, row by row"
         )
+    if len(words) != 16:
+        raise ConfigurationError(f"{source}: {len(words)} numbers; expected 16, row by row")
     return name.strip(), read_matrix(source, name, " ".join(words))

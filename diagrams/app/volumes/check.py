@@ -30,12 +30,12 @@ from sonoservo.systems.evaluation.source_checks import (
     check_contents,
     check_delay,
     check_errors,
+    check_grid,
     check_matrices,
     check_motion,
     check_numbers,
     check_pixels,
     check_seen,
-    check_spacing,
     check_stated_step,
     check_times,
     check_volume,
@@ -187,7 +187,7 @@ def brief_finding(opened: Opened) -> str:
     file = opened.file
     findings = _check_header(opened)
     if isinstance(opened, Recording):
-        findings += check_spacing(np.linalg.norm(file.directions, axis=0), file.shape)
+        findings += check_grid(file.directions, file.shape)
     else:
         findings.append(check_pixels("the frames", opened.pixel_sizes))
     return _on_one_line(gravest(findings), opened.path)
@@ -253,15 +253,10 @@ def _check_recording(checked: CheckedSource, recording: Recording, reading: Read
     box = " x ".join(f"{each:.0f}" for each in steps * (np.array(file.shape) - 1))
     checked.note(Check.KIND, f"{counted(file.count, 'volume')} of {size} voxels, {box} mm")
     checked.findings += _check_left_out(recording, "volume")
-    hand = (
-        ""
-        if np.linalg.det(file.directions) > 0
-        else ", left-handed: the image is mirrored if they are not meant to be"
-    )
     axes = _axes_words(file.directions)
     depth = f"{_SIDES[reading.depth]} (--depth {reading.depth})"
-    checked.note(Check.GRID, f"{axes}{hand}; the sound is taken to run to the {depth}")
-    checked.findings += check_spacing(steps, file.shape)
+    checked.note(Check.GRID, f"{axes}; the sound is taken to run to the {depth}")
+    checked.findings += check_grid(file.directions, file.shape)
     checked.findings += _check_header(recording)
     posed = "the volumes have poses" if recording.posed else "no poses: the probe counts as at rest"
     checked.note(Check.CHAIN, posed)
@@ -470,8 +465,7 @@ def _check_images(checked: CheckedSource, record: _StreamRecord, reading: Readin
     image = posed.image
     size = " x ".join(map(str, image.voxels.shape))
     checked.note(Check.GRID, f"{size} voxels; {_axes_words(image.X_LI[:3, :3])}")
-    steps = 1e3 * np.linalg.norm(image.X_LI[:3, :3], axis=0)
-    checked.findings += check_spacing(steps, image.voxels.shape[:3])
+    checked.findings += check_grid(1e3 * image.X_LI[:3, :3], image.voxels.shape[:3])
     checked.show(volume, (maker.X_WL(posed).inverse() @ volume.X_WP).rotation())
     stated = bool(posed.acquisition and posed.acquisition.decibels_per_level)
     checked.findings.append(_check_range(volume, reading.dynamic_range_db, stated))

@@ -17,6 +17,10 @@ from sonoservo.systems.signals.requirements import require, require_positive
 from sonoservo.systems.signals.volume import Volume
 from sonoservo.systems.tracking.localizer_parameters import NeedleLocalizerParameters
 from sonoservo.systems.tracking.pipeline import explain_localization
+from sonoservo.systems.tracking.volume_plausibility import (
+    VolumePlausibilityParameters,
+    implausible,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,6 +99,8 @@ def locate_in(
 ) -> LocatedNeedle | NotFound:
     """Locate the needle in a `Volume`, in W, with the localizer's parameters; see `locate`."""
     require(order in (2, 3), "order", order, "2 or 3")
+    if reason := implausible(volume, None, None, volume.time, 0.0, VolumePlausibilityParameters()):
+        return NotFound(f"a volume is refused: {reason}")
     anywhere = NeedlePrediction(order, volume.time, everywhere=True)
     explained = explain_localization(
         volume, anywhere, parameters or NeedleLocalizerParameters(), np.random.default_rng(seed)

@@ -132,3 +132,8 @@ def test_a_label_map_is_scanned_by_itself(tmp_path):
     assert result.returncode == 2
     assert "[1, 2, 3, 4, 5]" in result.stderr
     assert len(result.stderr.strip().splitlines()) == 1
+
+
+def test_a_needle_that_misses_the_phantom_is_refused():
+    with pytest.raises(ConfigurationError, match=r"hand\.entry: \[-120"):
+        scan("chatelain2013_fig5", changes=["hand.entry=[-120, 0, -42]"])

@@ -14,12 +14,12 @@ from sonoservo.systems.evaluation.source_checks import (
     check_contents,
     check_delay,
     check_errors,
+    check_grid,
     check_matrices,
     check_motion,
     check_numbers,
     check_pixels,
     check_seen,
-    check_spacing,
     check_times,
     check_volume,
     gravest,
@@ -65,8 +65,9 @@ def test_what_is_right_needs_nothing_and_is_told():
     assert worst(pixels) is None
     assert "0.2 x 0.15 mm" in pixels[0].text
     assert worst(check_motion("P", moving(), 0.05 * np.arange(50))) is None
-    assert worst(check_spacing([1, 0.5, 1], [60, 90, 40])) is None
-    assert worst(check_spacing([1, 1, 1], [60, 90, 40]))[0] is Check.SPACING
+    assert worst(check_grid(np.diag([1, 0.5, 1]), [60, 90, 40])) is None
+    assert worst(check_grid(np.diag([1, 1, 1]), [60, 90, 40]))[0] is Check.SPACING
+    assert worst(check_grid(np.diag([1, -0.5, 1]), [60, 90, 40]))[0] is Check.GRID
 
 
 TIMES = 0.1 * np.arange(30)
@@ -117,7 +118,7 @@ def test_frames_and_messages_may_be_faster_than_volumes():
 
 @pytest.mark.parametrize(("spacing", "unit"), [(0.07, "cm"), (7e-4, "m")])
 def test_a_spacing_in_another_unit_is_told(spacing, unit):
-    (finding,) = check_spacing([spacing] * 3, [90, 60, 40])
+    (finding,) = check_grid(spacing * np.eye(3), [90, 60, 40])
     assert finding.check is Check.SPACING
     assert finding.advice == f"is the spacing in {unit}?"
 
@@ -214,12 +215,10 @@ def test_first_volumes_that_show_little_are_no_fault_as_the_probe_has_no_contact
 
 
 def test_amplitudes_that_are_not_log_compressed_are_told(volume, amplitude):
-    linear = replace(volume, intensities=np.float32(255 / amplitude.max()) * amplitude)
-    assert "its numbers are amplitudes" in worst(check_volume(linear))[1]
-    inverted = replace(volume, intensities=255 - volume.intensities)
-    assert "it is dark where the echo is strong" in worst(check_volume(inverted))[1]
-    power = replace(volume, intensities=np.float32(255 / amplitude.max() ** 2) * amplitude**2)
-    assert "or its numbers are powers" in worst(check_volume(power))[1]
+    whole = amplitude / amplitude.max()
+    for levels in (255 * whole, 255 * whole**2, 255 - volume.intensities):
+        wrong = replace(volume, intensities=levels.astype(np.float32))
+        assert "amplitudes or powers" in worst(check_volume(wrong))[1]
 
 
 @pytest.mark.parametrize(("share", "judged"), [(0.003, True), (0.03, True), (0.3, False)])

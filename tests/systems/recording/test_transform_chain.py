@@ -147,9 +147,18 @@ def test_a_calibration_is_refused_if_missing_and_taken_from_anywhere(tmp_path, t
     line = f"ImageToProbeTransform = {text(calibration)}\nElementSpacing = 0.3 0.3 1\n"
     once.write_bytes(path.read_bytes().replace(b"ElementType", line.encode() + b"ElementType", 1))
     np.testing.assert_allclose(TrackedFrames(once).X_WI[2], frames[2].X_WI, atol=1e-9)
+    once.write_bytes(
+        once.read_bytes().replace(
+            b"ElementSp", b"ImageToProbeTransformStatus = INVALID\nElementSp", 1
+        )
+    )
+    with pytest.raises(ConfigurationError, match=r"invalid: ImageToProbeTransformStatus is not OK"):
+        TrackedFrames(once)
     assert read_calibration(f"ProbeToTracker={text(np.eye(4))}")[0] == "ProbeToTracker"
-    with pytest.raises(ConfigurationError, match="neither 16 numbers"):
+    with pytest.raises(ConfigurationError, match="no file 'missing.txt'"):
         read_calibration("missing.txt")
+    with pytest.raises(ConfigurationError, match="3 numbers; expected 16"):
+        read_calibration("1 0 0")
 
 
 def test_a_configuration_of_plus_completes_a_file(tmp_path, tracked):
@@ -168,6 +177,12 @@ def test_a_configuration_of_plus_completes_a_file(tmp_path, tracked):
     # The file states its own orientation; one that does not has that of the configuration.
     np.testing.assert_array_equal(opened._frames[0], frames[0].pixels[4:34, 3:43])
     path.write_bytes(path.read_bytes().replace(b"UltrasoundImageOrientation = MF\n", b""))
+    turned = open_volumes(path, ReadingFrames(reconstruct=True, plus_config=config))
+    np.testing.assert_array_equal(turned._frames[0], frames[0].pixels[::-1][4:34, 3:43])
+    path.write_bytes(path.read_bytes().replace(b"NDims", b"UltrasoundImageOrientation = XX\nNDims"))
+    assert "is XX: read as MF" in " ".join(
+        TrackedFrames(path, transforms={"ImageToProbe": calibration}).notes
+    )
     turned = open_volumes(path, ReadingFrames(reconstruct=True, plus_config=config))
     np.testing.assert_array_equal(turned._frames[0], frames[0].pixels[::-1][4:34, 3:43])
     config.write_text(config.read_text().replace('"30 40"', '"300 40"'))

@@ -76,6 +76,7 @@ def test_motors_and_speed_limits_that_the_model_lacks_are_added(own, tmp_path):
         ("flange: flange", "flange: tool0", "flange: the model has no frame 'tool0'.*link_6"),
         ("p: [2.0e5, ", "p: [", r"servo.p: .* must be 6 numbers, one for each joint"),
         ("joint_2: [-1.9198621771937625]", "joint_2: [-110]", "default_joint_positions.joint_2"),
+        ("joint_2: [-1.9198621771937625]", "joint_2: -110", r"joint_2: -110 is .* a list"),
         ("name: arm", "name: robot", "no model instance named 'arm'"),
         ('child: "arm::base_link"', "child: world", "directives.1.add_weld.child: 'world'"),
         (', child: "arm::base_link"', "", "directives.1.add_weld.child: is missing"),
