@@ -177,6 +177,8 @@ class _Reader:
         header, sizes = self.header, self.sizes
         if header.get("dimension") != str(len(sizes)):
             raise self.refuse("dimension", f"it is the number of sizes, {len(sizes)}")
+        if len(sizes) < 3:
+            raise self.refuse("sizes", "it is one image; a volume has three axes in space")
         spatial, listed, coloured = self._axes()
         nx, ny, nz = (*(sizes[axis] for axis in spatial), 1)[:3]
         shape = (nx, ny, nz)
