@@ -144,7 +144,8 @@ def drive(
     own = None if tracker is None else as_system(tracker, **tracker_events(scenario))
     with refusing(scenario):
         experiment = DrivenExperiment(scenario, console, meshcat, observers, own)
-    kept, bar = KeptRun(experiment, out=out, console=console), progress_bar(scenario, progress)
+    kept = KeptRun(experiment, out=out, meshcat=meshcat, console=console)
+    bar = progress_bar(scenario, progress)
     shown = [each for each in (bar.show if bar else None, show) if each is not None]
 
     def set_aside() -> None:
@@ -183,7 +184,6 @@ def drive(
             said = "; ".join(filter(None, ["paused" if pacer.paused else pacer.pace, hint]))
             for each in shown:
                 each(experiment.time, said)
-        console.say(note="writing the results")
 
     return kept.carry_out(simulate, begin=set_aside, bar=bar)
 

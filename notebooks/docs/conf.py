@@ -1,5 +1,6 @@
 """Settings of the documentation; `make docs` builds it."""
 
+import re
 import sys
 from importlib.metadata import version as version_of
 from pathlib import Path
@@ -35,7 +36,7 @@ suppress_warnings = ["myst.xref_missing", "ref.python"]
 
 HERE = Path(__file__).parent
 write_reference(HERE)
-# The tutorials are the notebooks beside this folder.
+# The tutorials are the notebooks above this folder, to which the pages link.
 (HERE / "tutorials").mkdir(exist_ok=True)
 for page in (*HERE.parent.glob("[1-9]*.ipynb"), *HERE.parent.glob("*.png")):
     write_atomically(HERE / "tutorials" / page.name, page.read_bytes())
@@ -62,7 +63,12 @@ def _write_math(writer, node):
     raise nodes.SkipNode
 
 
+def _link_tutorials(app, page, source):
+    source[0] = re.sub(r"\]\(\.\./(?=\w+\.ipynb)", "](tutorials/", source[0])
+
+
 def setup(app):
-    """Add the directive, and formulas as MathML."""
+    """Add the directive, formulas as MathML, and links to the tutorials."""
+    app.connect("source-read", _link_tutorials)
     app.add_directive("pydrake_system", PortsDirective)
     app.add_html_math_renderer("mathml", (_write_math, None), (_write_math, None))

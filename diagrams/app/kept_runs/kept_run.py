@@ -97,8 +97,6 @@ class KeptRun:
                 clear_explanations(self.out)
                 write_json(self.out / "summary.json", self._head(wall=0.0, interrupted=True))
                 write_atomically(self.out / "scenario.yaml", self.scenario.to_yaml())
-            if self._meshcat is not None:
-                self._meshcat.StartRecording(set_visualizations_while_recording=True)
             self._saved = time.perf_counter()
             with bar or nullcontext(), self._clock:
                 self.begin()
@@ -112,12 +110,15 @@ class KeptRun:
                 finally:
                     self._wall = self._clock() - self._started
                     if self._console is not None:
-                        self._console.end("its results are being written")
+                        self._console.end(self._end_words())
                     self._save()
             return self._finish()
 
     def begin(self) -> None:
-        """Start the clock, or restart it during a run; it leaves out compilation."""
+        """Start clock and replay, or restart them during a run; compilation does not count."""
+        if self._meshcat is not None:
+            self._meshcat.DeleteRecording()
+            self._meshcat.StartRecording(set_visualizations_while_recording=True)
         self._started = self._clock()
 
     def go_on(self) -> None:
@@ -147,6 +148,11 @@ class KeptRun:
         )
         self._write(result, presenter)
         return replace(result, failure=self.unwritten.failure)
+
+    def _end_words(self) -> str:
+        """Return the end in words that stay true if a page hears nothing more."""
+        words = f"{self._experiment.time:.1f} s simulated"
+        return words if self.out is None else f"{words}; the results go to {self.out}"
 
     def _head(self, *, wall: float, interrupted: bool) -> dict[str, Any]:
         """Return the figures of a summary that do not need the log."""

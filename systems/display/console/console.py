@@ -147,7 +147,7 @@ class Console:
         """Say how the run has ended, and offer nothing more."""
         self.controls.offer([])
         self.controls.offer_buttons()
-        self.say(ended=words, paused=False, pace="")
+        self.say(ended=words, paused=False, pace="", note="")
 
     def wait_until_shown(self, longest: float) -> None:
         """Wait until all open pages show what was said, but no longer than a time in s."""
@@ -307,8 +307,10 @@ class _View:
     def _state(self, frame: Frame | None) -> dict[str, Any]:
         console = self._console
         sample = console.strips.newest
-        state: dict[str, Any] = {**console.facts, **describe_state(sample)}
-        state["values"], state["speed"] = console.controls.shown[1], console.controls.speed
+        controls, values, _ = console.controls.shown
+        operated = any(each.port == "needle_target" for each in controls)
+        state: dict[str, Any] = {**console.facts, **describe_state(sample, operated=operated)}
+        state["values"], state["speed"] = values, console.controls.speed
         if sample is not None:
             state |= {"time": sample.time, "held": sample.held, "lines": dict(sample.lines)}
             state["readings"] = [each.shown() for each in needle_readings(sample)]

@@ -24,6 +24,7 @@ from sonoservo.systems.display.colours import (
     hexadecimal,
 )
 from sonoservo.systems.display.console.readings import STRIPS, Frame, shown_number
+from sonoservo.systems.signals.needle_colours import LINE_COLOURS
 
 _GROUND, _PLOT, _INK, _GRID = "#10141a", "#0a0d11", "#aeb7c2", "#242c36"
 _FIRST, _SECOND = "#58b4f0", "#f0a35e"
@@ -34,12 +35,6 @@ _PAGE_COLOURS = {
     "stopped": STOPPED, "truth": TRUTH, "sector": SECTOR, "uncertainty": UNCERTAINTY,
     "force": FORCE, "cross-section": CROSS_SECTION,
 }  # fmt: skip
-LINE_COLOURS = {
-    "needle": _COLOURS["tracking"], "resting": "#aab2bd", "riding": "#25cf97",
-    "appeared": "#d98cc4",
-}  # fmt: skip
-"""Colours of the lines that are followed, by their class."""
-
 _DASHES = {"tracking": "solid", "coasting": "dashed", "lost": "dotted"}
 _HEARD: Mapping[str, Any] = {"order": {}, "drawn": -1}
 _LONGEST = 0.5  # Longest time before a sample for which its mode is drawn, in s

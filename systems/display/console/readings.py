@@ -129,8 +129,11 @@ def needle_readings(sample: Sample) -> list[Reading]:
     ]
 
 
-def describe_state(sample: Sample | None) -> dict[str, str]:
-    """Return the state in words: ``kind``, ``word``, ``detail`` and ``advice``."""
+def describe_state(sample: Sample | None, *, operated: bool = False) -> dict[str, str]:
+    """Return the state in words: ``kind``, ``word``, ``detail`` and ``advice``.
+
+    Advice is for who can follow it: who opened a recording, or pushes an ``operated`` needle.
+    """
     if sample is None:
         return {"kind": "waiting", "word": "waiting", "detail": _WAITING, "advice": ""}
     if sample.stopped:
@@ -147,7 +150,7 @@ def describe_state(sample: Sample | None) -> dict[str, str]:
         if reason is not None:
             detail = reason.words
             recorded = math.isnan(sample.inserted)
-            if recorded or sample.inserted > 0:  # else there is nothing to be found
+            if recorded or (operated and sample.inserted > 0):  # else there is nothing to be found
                 # A run that goes on gets longer by itself.
                 remedies = [each for each in reason.remedies if each is not LONGER]
                 said = advice(remedies, Reader.RECORDING if recorded else Reader.OPERATOR)

@@ -13,7 +13,7 @@ from sonoservo.systems.evaluation.explanation.explained_volume import AFTER, BEF
 from sonoservo.systems.evaluation.log import Array
 from sonoservo.systems.signals.confidence import squared_distance
 from sonoservo.systems.signals.line_hypotheses import LINE_CLASSES
-from sonoservo.systems.signals.needle_colours import ESTIMATE, TRUTH
+from sonoservo.systems.signals.needle_colours import ESTIMATE, LINE_COLOURS, TRUTH
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_estimate import TrackingMode
 
@@ -149,7 +149,7 @@ def _draw_slice(axes: Axes, explained: ExplainedVolume, name: str, needle: Array
         _draw_tip(axes, explained, X_PS[:3, :2].T, show(explained.measured[-1:])[0])
     true = project(needle)
     if len(needle):
-        axes.plot(*true.T, color=TRUTH, linestyle="--", linewidth=1.5, label="true needle (truth)")
+        axes.plot(*true.T, color=TRUTH, linestyle="--", linewidth=1.5, label="true needle")
         axes.plot(*true[-1], marker="x", color=TRUTH, markersize=8, markeredgewidth=1.8)
     drawn = np.concatenate([corners, *(line for line, *_ in lines), true])
     left, right, bottom, top = extent
@@ -213,7 +213,7 @@ def _draw_profile(axes: Axes, explained: ExplainedVolume, needle: Array) -> None
         edges.append(at + 1)
     if len(needle):
         at = _abscissa(a, 1e3 * explained.to_probe(explained.profile), 1e3 * needle[-1])
-        axes.axvline(at, color=TRUTH, linestyle="--", linewidth=1.6, label="true tip (truth)")
+        axes.axvline(at, color=TRUTH, linestyle="--", linewidth=1.6, label="true tip")
         edges.append(at + 1)
     axes.set_xlim(min(edges), max(edges))
     axes.set_xlabel("distance along the axis, mm")
@@ -225,24 +225,27 @@ def _draw_profile(axes: Axes, explained: ExplainedVolume, needle: Array) -> None
 
 
 def _draw_classes(axes: Axes, explained: ExplainedVolume) -> None:
-    """Draw what each of the most probable lines is by its motion, with its looks."""
-    axes.set_title("Lines most like a needle: what they are by their motion", loc="left",
+    """Draw what each of the most probable lines is by its motion alone, and say how it looks."""
+    axes.set_title("Lines most like a needle: what they are by their motion alone", loc="left",
                    fontsize=11)  # fmt: skip
     names = [
-        f"line {number:.0f}\nP {100 * probability:.0f} %, looks {looks:+.1f}"
+        f"line {number:.0f}: needle {100 * probability:.0f} %\nlooks: log odds {looks:+.1f}"
         for number, probability, looks in zip(
             explained.line_numbers, explained.line_probabilities, explained.line_looks, strict=True
         )
     ]
     left = np.zeros(len(names))
-    colours = (MEASURED, "0.35", PREDICTED, ESTIMATE, "0.85")
-    for each, share, colour in zip(LINE_CLASSES, explained.line_classes.T, colours, strict=True):
-        axes.barh(names, share, left=left, color=colour, label=each)
+    colours = {**LINE_COLOURS, "nothing": "0.93"}
+    for each, share in zip(LINE_CLASSES, explained.line_classes.T, strict=True):
+        axes.barh(names, share, left=left, color=colours[each], label=each)
         left = left + share
     axes.invert_yaxis()
     axes.set_xlim(0, 1)
     axes.set_ylim(len(names) - 0.4, -1.2)
-    axes.set_xlabel("probability")
+    axes.set_xlabel(
+        "probability by motion alone\n"
+        "(the percentage at the left also weighs the looks and the lines nearby)"
+    )
     axes.legend(fontsize=8, ncols=5, loc="upper center")
 
 
@@ -276,7 +279,7 @@ def _draw_history(axes: Axes, explained: ExplainedVolume, needle: Array) -> None
         away = 1e3 * needle[-1] - first
         at = float(away @ k)
         axes.plot(now, at, marker="x", color=TRUTH, markersize=9, markeredgewidth=2,
-                  linestyle="", label=f"true tip (truth), {np.linalg.norm(away - at * k):.0f} mm "
+                  linestyle="", label=f"true tip, {np.linalg.norm(away - at * k):.0f} mm "
                   "beside the line")  # fmt: skip
         edges.append(at)
     axes.set_ylim(min(edges) - 20, max(edges) + 20)

@@ -33,9 +33,10 @@ _SHADES = {
 
 RUN_CAPTION = (
     "The run over time; solid lines show ground truth, dashed lines the tracker's estimate. "
-    "a) Errors of the visual servo, which drives all three to zero: x and z of the tip in the "
-    "probe's frame, and the angle between needle and image. b) The tip in the probe's frame; Y is "
-    "its depth. c) How the probe moved and turned since the start. d) Contact force and its "
+    "a) Errors of the visual servo, which drives all three to zero: x and z, the X and Z of b), "
+    "and θ, the angle between needle and image. b) The tip in the probe's frame: X lateral, Y its "
+    "depth, Z across the image. c) How the probe moved and, dotted, turned since the start: θu has "
+    "the direction of the axis of the turn, and its angle as length. d) Contact force and its "
     "target. Shaded: the needle was not tracked."
 )
 ERRORS_CAPTION = (

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from pydrake.geometry import Meshcat
 from typer.testing import CliRunner
 
 from sonoservo.diagrams import load_scenario, run
@@ -138,7 +139,9 @@ def test_pause_stops_time_and_none_is_made_up_for(console):
 
 def test_a_restart_keeps_what_was_done_before(console, tmp_path):
     operator = Operator(console, [(0.2, slide("depth", 20)), (1.2, click("restart"))])
-    result = drive(cheap(1.5), console, out=tmp_path, show=operator)
+    meshcat = Meshcat()
+    result = drive(cheap(1.5), console, meshcat=meshcat, out=tmp_path, show=operator)
+    assert (tmp_path / "replay.html").is_file()
     assert load_scenario(tmp_path / "scenario_1.yaml").duration >= 1.2
     assert max(push.speed for push in load_scenario(tmp_path / "scenario_1.yaml").hand.pushes) > 0
     assert result.log.time[-1] == pytest.approx(1.5, abs=0.05)

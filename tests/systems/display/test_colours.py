@@ -1,3 +1,4 @@
+from importlib.resources import files
 from itertools import combinations
 
 import numpy as np
@@ -15,6 +16,7 @@ from sonoservo.systems.display.colours import (
     ink,
 )
 from sonoservo.systems.signals import TrackingMode
+from sonoservo.systems.signals.needle_colours import LINE_COLOURS
 
 # How a colour without its blue, green or red cones is seen, in linear RGB: Machado, Oliveira and
 # Fernandes 2009, table 1, severity 1.
@@ -52,6 +54,12 @@ def test_colours_are_told_apart_by_every_colour_vision(vision, colours):
     for first, second in combinations(colours, 2):
         # 20 is ten times what is just noticed side by side.
         assert np.linalg.norm(seen(first, vision) - seen(second, vision)) > 20
+
+
+def test_the_key_s_colours_are_those_of_the_lines():
+    css = files("sonoservo.systems.display.console").joinpath("console.css").read_text()
+    for name, marked in (("resting", "first"), ("riding", "second"), ("appeared", "third")):
+        assert f".{marked} {{ color: {LINE_COLOURS[name]}; }}" in css
 
 
 def test_ink_reads_on_every_mode_s_ground():

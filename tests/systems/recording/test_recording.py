@@ -105,7 +105,10 @@ def posed(matrix):
 
 FAULTS = {
     "empty.seq.nrrd": (lambda path: path.write_bytes(b""), "it is empty"),
-    "flat.nrrd": (lambda p: nrrd.write(str(p), ARRAYS[0][0]), "sizes: '8 5' is not allowed; it is one image"),
+    "flat.nrrd": (
+        lambda p: nrrd.write(str(p), ARRAYS[0][0]),
+        "sizes: '8 5' is not allowed; it is one image",
+    ),
     "folder.seq.nrrd": (lambda path: path.mkdir(), "it is a folder"),
     "missing.nrrd": (lambda path: None, "there is no such file"),
     "volume.png": (lambda path: path.write_bytes(b"PNG" * 99), "this file type"),

@@ -124,6 +124,7 @@ def test_the_page_stays_until_enter_or_the_end_of_input(monkeypatch, opened, tmp
     monkeypatch.setattr("sys.stdin", terminal)
     pages = opened(Console(quiet=True), world=False)
     pages.console.controls.offer_buttons("pause")
+    pages.console.say(note="press W to push the needle in")
     report = tmp_path / "report.html"
     report.write_text("<p>figures")
     (tmp_path / "run.png").write_bytes(b"picture")
@@ -131,6 +132,7 @@ def test_the_page_stays_until_enter_or_the_end_of_input(monkeypatch, opened, tmp
     assert "press Enter" in said.getvalue()
     assert terminal.read() == left
     assert pages.console.facts["ended"] == "32.0 s simulated"
+    assert not pages.console.facts["note"]
     assert pages.console.controls.description()["buttons"] == []
     address = pages.site.address("report")
     assert pages.console.facts["report"] == "../report/report.html"

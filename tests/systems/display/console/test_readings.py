@@ -66,8 +66,10 @@ def test_the_state_is_said_in_words():
     assert describe_state(sample)["detail"] == "nothing changes"
     assert describe_state(sample)["advice"].endswith("whole volumes (--start anywhere)")
     assert describe_state(replace(sample, inserted=0.0))["advice"] == ""
-    inside = describe_state(replace(sample, inserted=12.0))
-    assert inside["advice"].startswith("push the needle in while the probe looks on, or make it")
+    inside = replace(sample, inserted=12.0)
+    assert describe_state(inside)["advice"] == ""
+    told = describe_state(inside, operated=True)
+    assert told["advice"].startswith("push the needle in while the probe looks on, or make it")
 
 
 def test_strips_keep_a_minute_and_let_pages_catch_up():

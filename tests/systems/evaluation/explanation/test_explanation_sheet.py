@@ -46,7 +46,7 @@ def draw(volume, **options):
 
 def test_slices_show_the_needle_in_mm(found):
     _, beam, cross, _, _ = draw(found, needle=found.to_probe(NEEDLE))
-    truth = line(beam, "true needle (truth)")
+    truth = line(beam, "true needle")
     # Depth in P, and the distance from the measured tip; 30 mm long, seen from its side.
     depth = 1e3 * found.to_probe(NEEDLE)[:, 1]
     np.testing.assert_allclose(truth[:, 1], depth)
@@ -71,7 +71,7 @@ def test_slices_show_the_needle_in_mm(found):
         "predicted needle",
         "measured needle",
         "measured tip, 95 %",
-        "true needle (truth)",
+        "true needle",
     }
 
 
@@ -102,7 +102,7 @@ def test_profile_against_distance(found):
     np.testing.assert_allclose(threshold[seen, 1], background[seen, 1] + 3)
     tip = line(profile, "tip found")[0, 0]
     assert tip == pytest.approx(1e3 * (found.tip - found.profile_a[0]))
-    assert line(profile, "true tip (truth)")[0, 0] == pytest.approx(tip, abs=1.5)
+    assert line(profile, "true tip")[0, 0] == pytest.approx(tip, abs=1.5)
     assert line(profile, "tip predicted")[0, 0] == pytest.approx(tip, abs=1.5)
     assert {"unseen", "taken for the needle"} <= labels(profile)
     assert profile.get_xlabel() == "distance along the axis, mm"
@@ -145,11 +145,11 @@ def test_lines_followed_are_drawn_while_nothing_is_measured():
     _, beam, _, classes, shown = draw(kept, needle=kept.to_probe(NEEDLE))
     assert beam.get_title(loc="left").endswith("through the line most like a needle")
     names = [text.get_text() for text in classes.get_yticklabels()]
-    assert names[0] == "line 7\nP 97 %, looks +1.5"
+    assert names[0] == "line 7: needle 97 %\nlooks: log odds +1.5"
     widths = [[bar.get_width() for bar in bars] for bars in classes.containers]
     np.testing.assert_allclose(np.transpose(widths), kept.line_classes)
     np.testing.assert_allclose(shown.collections[0].get_array().filled(np.nan), history.T)
-    truth = line(shown, "true tip (truth), 0 mm beside the line")
+    truth = line(shown, "true tip, 0 mm beside the line")
     np.testing.assert_allclose(truth, [[0, 30]], atol=0.1)
     _, *_, shown = draw(replace(kept, history_times=np.zeros(1), history=history[:1]))
     assert np.ptp(shown.collections[0].get_coordinates()[..., 0]) > 0.3  # wide enough to be seen
