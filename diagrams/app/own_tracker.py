@@ -18,6 +18,8 @@ from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMo
 from sonoservo.systems.signals.volume import Volume
 
 _OURS = tuple(str(Path(__file__).parents[2] / part) for part in ("systems", "diagrams"))
+"""Folders whose lines tell an author nothing about a failure of their tracker."""
+
 _FARTHEST = 1.0  # distance of a tip from the probe in m: no image is as deep
 
 OwnTracker: TypeAlias = System | Callable[[Volume], NeedleEstimate] | str
@@ -112,9 +114,8 @@ class _FunctionTracker(LeafSystem):
         except ConfigurationError:
             raise
         except Exception as error:
-            theirs = [
-                e for e in extract_tb(error.__traceback__) if not e.filename.startswith(_OURS)
-            ]
+            calls = extract_tb(error.__traceback__)
+            theirs = [each for each in calls if not each.filename.startswith(_OURS)]
             where = f", in {theirs[-1].filename}, line {theirs[-1].lineno}" if theirs else ""
             raise ConfigurationError(
                 f"{self._name}: this tracker of yours failed at {volume.time:.2f} s{where}: "
