@@ -14,7 +14,6 @@ from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
-import numpy as np
 import yaml
 
 from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
@@ -169,7 +168,8 @@ class _Loader:
             return self._choose(hint, value, path, default)
         if dataclasses.is_dataclass(hint) or hasattr(hint, "__fields__"):
             return self.fill(hint, value, path, default)
-        if origin is list or hint is np.ndarray:
+        # Arrays of Drake's classes are told by their name, as NumPy is not to be loaded here.
+        if origin is list or getattr(hint, "__name__", "") == "ndarray":
             if not isinstance(value, list):
                 self._refuse(path, value, "a list")
             each = options[0] if options else float
