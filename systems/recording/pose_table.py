@@ -94,10 +94,9 @@ def read_pose_table(path: Path, files: Sequence[str]) -> tuple[dict[str, str], l
                 unread = f"row {place + 1}: {_unread(row)}"
         if not any(name.endswith("Transform") for name in fields):
             raise ConfigurationError(f"{path}: none of its rows has a pose; {unread}")
-        notes = [f"{path.name}: a row without a pose: {unread}"] if unread else []
-        if unused := [each for each in names if not _is_read(each)]:
-            unused_words = f"columns of {path.name} that are neither times nor poses"
-            notes.append(f"{unused_words}: {', '.join(unused)}")
+        notes = [f"{path.name}: not all rows give a pose; {unread}"] if unread else []
+        if unused := ", ".join(each for each in names if not _is_read(each)):
+            notes.append(f"columns of {path.name} that are neither times nor poses: {unused}")
         return fields, notes
 
 

@@ -139,6 +139,10 @@ def test_columns_that_are_not_read_are_told(tmp_path):
     assert read_pose_table(table, ["a.png"])[1] == [
         "columns of poses.csv that are neither times nor poses: stamp"
     ]
+    table.write_text("frame,x,y,z,qw,qx,qy,qz\n0,1,2,3,1,0,0,0\n1,1,2,lost,1,0,0,0")
+    assert read_pose_table(table, ["a.png", "b.png"])[1] == [
+        "poses.csv: not all rows give a pose; row 2: column z: 'lost' is no number"
+    ]
 
 
 def test_a_row_that_is_missing_costs_its_frame(tmp_path, frames):
