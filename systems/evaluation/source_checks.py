@@ -434,7 +434,7 @@ def _usual_step(p: NDArray[np.float64]) -> float:
     return float(np.median(steps[steps > 0])) if steps.any() else 0.0
 
 
-def check_grid(directions: ArrayLike, shape: ArrayLike) -> list[Finding]:
+def check_grid(directions: NDArray[np.float64], shape: ArrayLike) -> list[Finding]:
     """Check (3, 3) steps between voxels in mm, one a column, for mirroring, defaults and units."""
     mirrored = [_Fault.LEFT_HANDED()] if np.linalg.det(directions) < 0 else []
     return [*mirrored, *_check_spacing(np.linalg.norm(directions, axis=0), shape)]
