@@ -105,13 +105,13 @@ class ImageMatcher:
 
     An image waits until a pose at its time or later is there, so that it can be interpolated, but
     not for long. If poses are neither asked for nor there when the first image comes, the probe is
-    taken to be at rest from then on.
+    taken to be at rest until the first pose.
 
     Several peers may send to one port. An image takes its pose from its own peer, or from another
     if that one sends none. A peer that has sent ten images in a row is the scanner: those of
     others are left aside until it has been silent for 2 s.
 
-    Where time stamps stand still, the times of arrival take their place. Where the clocks of images
+    Where time stamps stand still or are not in s, the times of arrival take their place. Where the clocks of images
     and poses are further apart than messages can be delayed, the difference is estimated from the
     times of arrival, and told.
 
@@ -305,20 +305,27 @@ class ImageMatcher:
         said = next((v for v in sender.said.values() if abs(v.times[0] - stamp) < _SAME), None)
         if said is not None:
             stamp, X_WL, self._told = said.times[0], said.poses[0], True
-        elif self._posed is False:
+        elif self._asked == "none":
             X_WL = RigidTransform()
-        elif (tracker := self._tracker(sender)) is None and now - arrived < _FIRST_WAIT:
+        elif (
+            (tracker := self._tracker(sender)) is None
+            and self._posed is not False
+            and now - arrived < _FIRST_WAIT
+        ):
             return None
         elif tracker is None and self._find_chain(now):
             return self._complete(image, peer, arrived, now)
-        elif tracker is None and self._posed is None:
+        elif tracker is None and not self._posed:
+            if self._posed is None:
+                there = f" (there are: {', '.join(sorted(self._others))})" if self._others else ""
+                self._report(
+                    f"there is no device {self._pose_name!r}{there}: the probe counts as at rest"
+                )
             self._posed = False
-            there = f" (there are: {', '.join(sorted(self._others))})" if self._others else ""
-            self._report(
-                f"there is no device {self._pose_name!r}{there}: the probe counts as at rest"
-            )
             X_WL = RigidTransform()
         else:
+            if self._posed is False:
+                self._report("poses have come: the probe no longer counts as at rest")
             self._posed = True
             found = self._pose(stamp, arrived, sender, tracker, now - arrived < _WAIT)
             if found is None:
@@ -378,7 +385,7 @@ class ImageMatcher:
         if stands != sender.arrival_told:
             sender.arrival_told = stands
             self._report(
-                "the time stamps stand still; the times of arrival are taken"
+                "the time stamps stand still or are not in s; the times of arrival are taken"
                 if stands
                 else "the time stamps advance, and are taken from now on"
             )

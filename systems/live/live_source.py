@@ -79,8 +79,8 @@ class LiveSource:
 
     @property
     def posed(self) -> bool:
-        """True if the stream tells the probe's poses."""
-        return self._matcher.posed
+        """True if the stream tells the probe's poses, by themselves or by the images' matrices."""
+        return self._matcher.posed or self._maker.posed
 
     @property
     def left_out(self) -> Counter[str]:

@@ -35,6 +35,8 @@ class ImagesToVolumes(ABC):
     """Maker of volumes from images, or from many 2D frames each, by `GreyLevels`."""
 
     takes_frames = False
+    posed = False
+    """Whether images themselves have told poses, by a matrix that moves."""
 
     def __init__(self, window: tuple[float, float] | None) -> None:
         self.grey = GreyLevels(window)
@@ -134,7 +136,9 @@ class VolumeMaker(ImagesToVolumes):
                 self._scale or said.decibels_per_level or DECIBELS_PER_LEVEL,
                 said.point_spread,
             )
-        X_WP = posed.X_WL @ _moved(posed.image.X_LI, X_LI) @ grid.X_LP
+        moved = _moved(posed.image.X_LI, X_LI)
+        self.posed |= not moved.IsExactlyIdentity()
+        X_WP = posed.X_WL @ moved @ grid.X_LP
         return Volume(
             grey,
             grid.origin,
@@ -169,5 +173,12 @@ def _moved(X_LI: NDArray[np.float64], first: NDArray[np.float64]) -> RigidTransf
     motion = X_LI @ np.linalg.inv(first)
     R = motion[:3, :3]
     if np.abs(R.T @ R - np.eye(3)).max() > _RIGHT_ANGLE or np.linalg.det(R) < 0:
-        raise ValueError("a volume is left out: its grid is not the first one's, moved")
+        steps = (
+            " x ".join(f"{1e3 * each:.3g}" for each in np.linalg.norm(X[:3, :3], axis=0))
+            for X in (X_LI, first)
+        )
+        raise ValueError(
+            "a volume is left out: its grid is not the first one's, moved; its voxels have {} mm, "
+            "the first one's {}. If the depth was changed, start again".format(*steps)
+        )
     return RigidTransform(RotationMatrix.ProjectToRotationMatrix(R), motion[:3, 3])

@@ -14,6 +14,9 @@ from sonoservo.systems.recording.pose_table import read_pose_table
 
 _2D = _TISSUE = 1
 _CENTIMETRES = 3  # Codes of a flat region, of tissue in it, and of centimetres as its unit
+FIRST_PIXEL = "FirstPixel"
+"""Name of the field with the place in the whole picture of a frame's first pixel."""
+
 _VOLUMES = "1.2.840.10008.5.1.4.1.1.6.2"  # Enhanced US Volume Storage
 
 
@@ -39,6 +42,7 @@ def open_dicom(path: Path, *, frames: bool = False) -> VolumeFile:
     require_frames(path, frames, f"{count} frames of DICOM")
     fields, notes = read_pose_table(path.with_suffix(".csv"), [str(k) for k in range(count)])
     left, top, right, bottom, spacing, note = _region(data, columns, rows)
+    fields[FIRST_PIXEL] = f"{left} {top}"
     slope, shift = (
         float(data.get(f"Rescale{name}", default))
         for name, default in (("Slope", 1), ("Intercept", 0))
@@ -89,7 +93,10 @@ def _region(
             right, bottom = min(right + 1, columns), min(bottom + 1, rows)
             spacing = tuple(10 * abs(float(region[f"PhysicalDelta{axis}"].value)) for axis in "XY")
             size = f"{right - left} x {bottom - top}"
-            note = f"its frames are cut to the region of tissue, {size} pixels"
+            note = (
+                f"its frames are cut to the region of tissue, {size} pixels from {left}, {top} on; "
+                "a calibration counts from the first pixel of the whole picture"
+            )
             return left, top, right, bottom, (spacing[0], spacing[1]), note
     if "PixelSpacing" in data:  # between rows, and between columns
         down, across = (float(each) for each in data.PixelSpacing)

@@ -187,12 +187,19 @@ class Recording(FileItems):
         check_grid(self.path, file.shape, file.directions, file.origin)
         grid = make_file_grid(file.directions, file.origin, file.shape, depth)
         exact = read_acquisition(path)
-        if len(exact.times) < self.file.count or not (
-            np.allclose(exact.origin, grid.origin, atol=1e-9)
-            and np.allclose(exact.spacing, grid.spacing, atol=1e-9)
+        times = np.array(exact.times[: file.count])
+        if len(times) < file.count or (
+            file.times is not None and not np.allclose(times, file.times, rtol=0, atol=1e-6)
         ):
-            raise ConfigurationError(f"{path}: it does not belong to the recording {self.path}")
-        return exact
+            fault = "its volumes are others than those"
+        elif not np.allclose([exact.origin, exact.spacing], [grid.origin, grid.spacing], atol=1e-9):
+            fault = "its grid is not that" + f" with --depth {depth}" * (depth != "P")
+        else:
+            return exact
+        raise ConfigurationError(
+            f"{path}: it does not belong to the recording {self.path}: {fault}; without it, the "
+            "recording is read by its header"
+        )
 
     def _scale(self, dynamic_range_db: float | None) -> float:
         """Return dB per grey level: from the argument, from the file, or else 60 dB / 255."""

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
 from sonoservo.systems.files.volume_file import check_grid
+from sonoservo.systems.recording.dicom import FIRST_PIXEL
 from sonoservo.systems.recording.file_items import FileItems
 from sonoservo.systems.recording.grey_levels import GreyWindow, void_flags
 from sonoservo.systems.recording.transform_chain import TransformChain, find_chain
@@ -57,6 +58,7 @@ class TrackedFrames(FileItems):
                 pixels = [self._pixel_size(spacings.get(k)) for k in self.numbers]
                 matrices = matrices @ np.array(pixels)
             self.X_WI = np.array([self._in_metres(matrix) for matrix in matrices])
+            self._move(*map(int, self.file.fields.get(FIRST_PIXEL, "0 0").split()))
             self._clip = self._cut(clip)
             self._window = GreyWindow(*window) if window else self._choose_window()
 
@@ -104,8 +106,12 @@ class TrackedFrames(FileItems):
                 f"{self.path}: a rectangle of {ni} x {nj} pixels from {i}, {j} on (ClipRectangle) "
                 f"reaches beyond the frames of {size}"
             )
-        self.X_WI[:, :3, 3] += self.X_WI[:, :3, 0] * i + self.X_WI[:, :3, 1] * j
+        self._move(i, j)
         return slice(i, i + ni), slice(j, j + nj)
+
+    def _move(self, i: int, j: int) -> None:
+        """Let the poses lead from pixels that count from pixel (i, j) of those so far."""
+        self.X_WI[:, :3, 3] += self.X_WI[:, :3, 0] * i + self.X_WI[:, :3, 1] * j
 
     def _pixel_size(self, spacing: str | None) -> NDArray[np.float64]:
         """Return the (4, 4) transform from pixels to mm, by a frame's own spacing or the header."""

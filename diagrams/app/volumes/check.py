@@ -424,7 +424,8 @@ def _check_clocks(checked: CheckedSource, record: "_StreamRecord", poses: str | 
     matcher, others = record.matcher, sorted(record.poses)
     if matcher.counts_arrivals:
         advice = "let the program that sends them stamp them; till then, times are those of arrival"
-        checked.note(Check.CLOCK, "time stamps of images stand still", Grade.DOUBTFUL, advice)
+        text = "time stamps of images stand still or are not in s"
+        checked.note(Check.CLOCK, text, Grade.DOUBTFUL, advice)
     if offset := matcher.clock_offset:
         text = f"the clock of the poses is {abs(offset):.2f} s "
         text += "ahead of the images'" if offset > 0 else "behind the images'"
@@ -457,7 +458,8 @@ def _check_images(checked: CheckedSource, record: _StreamRecord, reading: Readin
         else:
             advice = "such images are left out"
             checked.note(Check.CONTENT, shown(volume.reason), Grade.DOUBTFUL, advice)
-    if not record.matcher.posed:
+    has_poses = record.matcher.posed or maker.posed
+    if not has_poses:
         checked.note(Check.CHAIN, "no poses: the probe counts as at rest")
     if not volumes:
         return
@@ -469,7 +471,7 @@ def _check_images(checked: CheckedSource, record: _StreamRecord, reading: Readin
     checked.show(volume, (maker.X_WL(posed).inverse() @ volume.X_WP).rotation())
     stated = bool(posed.acquisition and posed.acquisition.decibels_per_level)
     checked.findings.append(_check_range(volume, reading.dynamic_range_db, stated))
-    if record.matcher.posed:
+    if has_poses:
         for _, each in volumes:
             calibration = calibration.seen(each)
         checked.findings += check_errors(calibration.errors)

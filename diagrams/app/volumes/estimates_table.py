@@ -15,7 +15,10 @@ from sonoservo.systems.signals.search_reason import Reader, ReasonCount
 
 
 def estimate_row(tracked: Tracked, *, posed: bool) -> dict[str, Any]:
-    """Return an estimate as a row of ``estimates.csv``, in the source's own frame L (LPS)."""
+    """Return an estimate as a row of ``estimates.csv``, in the source's own frame L (LPS).
+
+    Its place in the world is known only if the volume is ``posed``.
+    """
     estimate, X_WL = tracked.estimate, tracked.X_WL
     row: dict[str, Any] = {
         "volume": tracked.number,
@@ -30,7 +33,7 @@ def estimate_row(tracked: Tracked, *, posed: bool) -> dict[str, Any]:
         X_LW = X_WL.inverse()
         entry, middle, tip = 1e3 * X_LW.multiply(estimate.curve.position([0, 0.5, 1]).T).T
         velocity = 1e3 * (X_LW.rotation() @ estimate.tip_velocity)
-        w_tip = 1e3 * estimate.curve.tip
+        w_tip = 1e3 * estimate.curve.tip if posed else w_tip
         R_LW = X_LW.rotation().matrix()
         covariance = 1e6 * R_LW @ estimate.tip_covariance @ R_LW.T
     direction = (tip - entry) / np.linalg.norm(tip - entry) if estimate else tip
@@ -45,9 +48,8 @@ def estimate_row(tracked: Tracked, *, posed: bool) -> dict[str, Any]:
             row["_".join(filter(None, (name, axis, unit)))] = float(value)
     for i, j in zip(*np.triu_indices(3), strict=True):
         row[f"tip_covariance_{'lps'[i]}{'lps'[j]}_mm2"] = float(covariance[i, j])
-    if posed:
-        for axis, value in zip("xyz", w_tip, strict=True):
-            row[f"world_tip_{axis}_mm"] = float(value)
+    for axis, value in zip("xyz", w_tip, strict=True):
+        row[f"world_tip_{axis}_mm"] = float(value)
     row["reason"] = estimate.reason
     return row
 

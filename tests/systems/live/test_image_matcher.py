@@ -69,15 +69,18 @@ def test_image_does_not_wait_for_ever_and_poses_far_apart_are_not_bridged(matche
     assert matcher.left_out == {LeftOut.NO_POSE: 2}
 
 
-def test_without_poses_the_probe_is_at_rest(lines):
+def test_without_poses_the_probe_is_at_rest_until_they_come(lines):
     matcher = ImageMatcher(report=lines.append)
     assert matcher.feed(image(1.0), 0.0) == []
     assert len(matcher.release(0.6)) == 1
     assert "'ProbeToReference'" in lines[-1]
-    matcher.feed(pose(2.0, 9.0), 1.0)  # too late: the world does not change any more
-    (posed,) = matcher.feed(image(2.0), 1.0)
+    (posed,) = matcher.feed(image(1.3), 0.7)
     assert posed.X_WL.IsExactlyEqualTo(RigidTransform())
     assert not matcher.posed
+    matcher.feed(pose(2.0, 9.0), 1.0)  # its marker was hidden till now
+    (posed,) = matcher.feed(image(2.0), 1.0)
+    np.testing.assert_array_equal(posed.X_WL.translation(), [9, 0, 0])
+    assert matcher.posed and "poses have come" in lines[-1]
     matcher = ImageMatcher(report=lines.append)  # what tells how an image was acquired has its pose
     matcher.feed(TextItem("Acquisition", 1.0, ACQUISITION), 0.0)
     assert len(matcher.feed(image(1.0), 0.0)) == 1
@@ -111,12 +114,12 @@ def test_stamps_that_stand_still_or_run_back_a_little_are_left_out(lines):
     assert "is not later than the last one's" in lines[-1]
 
 
-@pytest.mark.parametrize("stamps", ["zero", "whole seconds"])
+@pytest.mark.parametrize("stamps", ["zero", "whole seconds", "ms"])
 def test_stamps_that_do_not_run_give_way_to_the_times_of_arrival(stamps, lines):
     matcher, out = ImageMatcher(poses="ProbeToReference", report=lines.append), []
     for k in range(12):
         now = 50.0 + 0.1 * k
-        stamp = 0.0 if stamps == "zero" else float(int(now))
+        stamp = {"zero": 0.0, "whole seconds": float(int(now)), "ms": 1e3 * now}[stamps]
         out += matcher.feed(pose(stamp, x=float(k)), now)
         out += matcher.feed(image(stamp), now + 0.01)
         out += matcher.release(now + 0.09)

@@ -43,7 +43,10 @@ def test_moved_image_is_a_moved_probe():
     motion = RigidTransform(RotationMatrix.MakeXRotation(0.2), [0.01, 0.02, 0.03])
     first = image(VOXELS, origin=[0.001, 0.002, 0.003])
     moved = ImageItem("Image", 1.3, VOXELS, motion.GetAsMatrix4() @ first.X_LI)
-    start, end = maker(posed(first)), maker(posed(moved, time=1.3))
+    start = maker(posed(first))
+    assert not maker.posed
+    end = maker(posed(moved, time=1.3))
+    assert maker.posed
     assert end.X_WP.IsNearlyEqualTo(motion @ start.X_WP, 1e-12)
     np.testing.assert_array_equal(end.origin, start.origin)
     assert maker.X_WL(posed(moved)).IsNearlyEqualTo(motion, 1e-12)

@@ -224,15 +224,16 @@ def test_multi_frame_ultrasound_of_dicom(tmp_path, frames, photometric):
     write_dicom(path, pixels, photometric=photometric)
     with pytest.raises(ConfigurationError, match="table of poses"):
         TrackedFrames(path)
-    # The region's scale is the size of the pixels, so the pose is that of the first one.
-    mm = np.diag([1e3, 1e3, 1e3, 1.0])
-    poses = [mm @ frame.X_WI @ np.linalg.inv(PIXEL) for frame in frames]
+    # The region's scale is the size of the pixels; the pose is that of the whole picture's first.
+    mm, first = np.diag([1e3, 1e3, 1e3, 1.0]), np.eye(4)
+    first[:2, 3] = -3, -7
+    poses = [mm @ frame.X_WI @ first @ np.linalg.inv(PIXEL) for frame in frames]
     names = [f"ProbeToTracker_{i}{j}" for i in range(3) for j in range(4)]
     lines = [",".join(map(repr, pose[:3].ravel().tolist())) for pose in poses]
     path.with_suffix(".csv").write_text("\n".join([",".join(names), *lines]))
     read = TrackedFrames(path)
     assert_same_frames(read, frames)
-    assert "cut to the region of tissue, 40 x 50 pixels" in " ".join(read.notes)
+    assert "cut to the region of tissue, 40 x 50 pixels from 3, 7" in " ".join(read.notes)
 
 
 def test_colours_of_dicom_and_palettes_are_refused(tmp_path, frames):

@@ -231,11 +231,14 @@ def test_a_run_that_starts_anew_records_anew(tmp_path, volumes):
 def test_damaged_side_files_are_one_line(recorded):
     side = recorded.with_name("a.acquisition.jsonl")
     lines = side.read_text().splitlines()
+    later = json.loads(lines[-1])
+    later["time"] += 0.5
     for text, message in (
         ("", "damaged"),
         ("{}\n", "damaged"),
         ("\n".join([lines[0].replace('"format": 1', '"format": 9'), *lines[1:], ""]), "format 9"),
         ("\n".join([*lines[:3], ""]), "does not belong to the recording"),
+        ("\n".join([*lines[:-1], json.dumps(later), ""]), "its volumes are others"),
         ("\n".join([lines[0], *[json.dumps({"time": 1})] * 4, ""]), "damaged"),
     ):
         side.write_text(text)
