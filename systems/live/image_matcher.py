@@ -111,9 +111,9 @@ class ImageMatcher:
     if that one sends none. A peer that has sent ten images in a row is the scanner: those of
     others are left aside until it has been silent for 2 s.
 
-    Where time stamps stand still or are not in s, the times of arrival take their place. Where the clocks of images
-    and poses are further apart than messages can be delayed, the difference is estimated from the
-    times of arrival, and told.
+    Where time stamps stand still or are not in s, the times of arrival take their place. Where the
+    clocks of images and poses are further apart than messages can be delayed, the difference is
+    estimated from the times of arrival, and told.
 
     Parameters
     ----------

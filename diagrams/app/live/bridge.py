@@ -8,6 +8,7 @@ from typing import Any
 from sonoservo.diagrams.app.live.track_live import live_volumes
 from sonoservo.diagrams.app.options import LiveLimits
 from sonoservo.diagrams.app.volumes.opening import Opened
+from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.live.connection.link import Link
 from sonoservo.systems.live.feeds import IMAGE, volume_items
 from sonoservo.systems.live.live_source import LiveSource
@@ -28,7 +29,12 @@ def record_live(
     limits: LiveLimits | None = None,
     say: Callable[[str], None] = print,
 ) -> dict[str, Any]:
-    """Record a live connection until a limit or an interruption; return the summary."""
+    """Record a live connection until a limit or an interruption; return the summary.
+
+    A stream cannot be had again, so no file is overwritten.
+    """
+    if path.exists():
+        raise ConfigurationError(f"{path}: there is such a recording already; give another name")
     writer: RecordingWriter | ZeaWriter | None = None
     count, interrupted = 0, False
     try:

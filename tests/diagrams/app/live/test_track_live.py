@@ -137,6 +137,9 @@ def test_bridge_records_what_was_played(recording, tmp_path):
     assert path.read_bytes() == recording.path.read_bytes()
     there, here = (side_path(each, ACQUISITION).read_text() for each in (recording.path, path))
     assert here == there
+    with pytest.raises(ConfigurationError, match="another name"):
+        record_live(source, path)
+    assert path.read_bytes() == recording.path.read_bytes()
 
 
 def test_an_interruption_keeps_what_was_tracked(recording, tmp_path):
