@@ -54,7 +54,7 @@ class ProbeControllerParameters:
     Parameters
     ----------
     time_step
-        Period of the force law and the joint commands, in s.
+        Period of the force law and the joint commands, in s. The guard's limits count on 10 ms.
     visual_servo, force, kinematics
         Parameters of the three blocks.
     guards
@@ -66,7 +66,7 @@ class ProbeControllerParameters:
         If a parameter is above its ceiling, or the probe's axis points away from the body.
     """
 
-    time_step: Annotated[float, within(0.0001, 0.1)] = 0.01
+    time_step: Annotated[float, within(0.0001, 0.01)] = 0.01
     visual_servo: VisualServoParameters = field(default_factory=VisualServoParameters)
     force: ForceControllerParameters = field(default_factory=ForceControllerParameters)
     kinematics: DifferentialKinematicsParameters = field(

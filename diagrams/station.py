@@ -46,7 +46,7 @@ from sonoservo.systems.ultrasound.simulation.tissue import load_tissue
 
 _ALLOWED = {
     "contact_model": ("hydroelastic_with_fallback", "hydroelastic", "point"),
-    "discrete_contact_approximation": ("lagged", "similar", "sap", "tamsi"),
+    "discrete_contact_approximation": ("lagged", "similar", "sap"),
     "contact_surface_representation": ("polygon", "triangle"),
 }
 
@@ -132,6 +132,9 @@ class StationParameters:
         for name, allowed in _ALLOWED.items():
             value = getattr(self.plant, name)
             require(value in allowed, f"plant.{name}", value, " or ".join(allowed))
+        for name in ("penetration_allowance", "stiction_tolerance"):
+            value = getattr(self.plant, name)
+            require(value > 0, f"plant.{name}", value, "above 0")
         position = self.phantom_position
         finite = len(position) == 3 and bool(np.isfinite(position).all())
         require(finite, "phantom_position", position, "three coordinates in m")

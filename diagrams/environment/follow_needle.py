@@ -1,6 +1,7 @@
 """The environment: an episode is a run of following in which an agent moves the probe."""
 
-from collections.abc import Sequence
+import json
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
@@ -83,7 +84,7 @@ class FollowNeedle(DrakeGymEnv):
     scenario
         Name or path of a scenario of following.
     changes
-        Assignments in the scenario.
+        Fields of the scenario to change, as of `load_scenario`.
     randomize
         Strength up to which the dials of the harder world are drawn, each in half of the episodes:
         0 for none, 1 for the moderate one.
@@ -104,7 +105,7 @@ class FollowNeedle(DrakeGymEnv):
         self,
         observation: str = "features",
         scenario: str = "chatelain2013_fig5",
-        changes: Sequence[str] = (),
+        changes: Mapping[str, Any] | Sequence[str] = (),
         randomize: float = 0.0,
         reward: RewardParameters | None = None,
         render_mode: str | None = None,
@@ -115,6 +116,8 @@ class FollowNeedle(DrakeGymEnv):
         if not 0 <= randomize <= 2:
             raise ConfigurationError(f"randomize: {randomize} is not allowed; from 0 to 2")
         self._kind, self._name = observation, scenario
+        if isinstance(changes, Mapping):
+            changes = [f"{path}={json.dumps(value)}" for path, value in changes.items()]
         self._changes, self._randomize = list(changes), randomize
         self._scale, self._limits = ActionScale(), reward or RewardParameters()
         plain = self._load([], 0)

@@ -58,7 +58,8 @@ class WristSensorLimits(Bounded):
         Time for which samples must be implausible until the sensor counts as faulty, in s. Shorter
         glitches are ignored.
     max_latency
-        Longest time in s by which the samples may lag behind the arm's motion.
+        Longest time in s by which the samples may lag behind the arm's motion. It is halved where
+        the wrist sensor is the only witness of the force.
     """
 
     max_force: Positive = 60.0

@@ -98,6 +98,10 @@ def _arm_at_least(s: Sight) -> float:
     return -math.inf if s.arm is None else s.arm - 2 * s.arm_error
 
 
+def _max_latency(g: GuardParameters, *, alone: bool) -> float:
+    return g.wrist_sensor.max_latency / (2 if alone else 1)
+
+
 def _leaves(s: Sight, m: GuardMemory, r: Region, way: int) -> bool:
     # The way back is free, so the controller can correct what it is blamed for.
     if s.p_ahead is None or s.axis_ahead is None:
@@ -150,11 +154,12 @@ RULES = (
          0.0, Reaction.PROVE, "the external torques of the arm are frozen"),
     Rule("disagree", _disagree, None, Reaction.PROVE,
          "the wrist sensor reads {wrist:.1f} N, but {other}"),
-    Rule("late", lambda s, m, g, r: s.latency > g.wrist_sensor.max_latency, 0.0, Reaction.PROVE,
-         "the wrist sensor's samples lag behind the arm's motion by more than "
-         "{g.wrist_sensor.max_latency:g} s"),
+    Rule("late", lambda s, m, g, r: s.latency > _max_latency(g, alone=s.arm is None), 0.0,
+         Reaction.PROVE,
+         "the wrist sensor's samples lag behind the arm's motion by more than {latency:g} s"),
     Rule("force", _force, _PULSE, Reaction.AWAY,
-         "the contact force of {most:.1f} N exceeded {g.max_force:g} N"),
+         "the contact force exceeds {g.max_force:g} N, or would before it is measured; the "
+         "witnesses felt at most {most:.1f} N along the probe"),
     Rule("depth", lambda s, m, g, r: _leaves(s, m, r, 0), 0.0, Reaction.AWAY,
          "the probe would go deeper than {depth:g} mm below the configured surface, or below "
          "the place where contact began; does the wrist sensor feel the body?"),
@@ -229,7 +234,7 @@ def reason(m: GuardMemory, g: GuardParameters, r: Region, *, alone: bool) -> str
     most = max((each for each in (m.wrist_then, m.arm_then) if each == each), default=math.nan)
     text = RULES[int(m.cause)].text.format(
         g=g, wrist=m.wrist_then, other=other, most=most, error=1e3 * g.max_pose_error,
-        depth=1e3 * r.max_depth, half=g.max_force / 2,
+        depth=1e3 * r.max_depth, half=g.max_force / 2, latency=_max_latency(g, alone=alone),
     )  # fmt: skip
     if m.blocked:
         text += "; it is held, because a retreat would leave the workspace or the arm's reach"

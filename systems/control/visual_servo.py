@@ -66,7 +66,7 @@ def hold_reason(estimate: NeedleEstimate, time: float, parameters: VisualServoPa
     if estimate.mode not in _FOLLOWED or estimate.curve is None:
         return ""
     age = time - estimate.time
-    if age > parameters.stale_after:
+    if not abs(age) <= parameters.stale_after:
         return f"the estimate is {age:.1f} s old"
     if estimate.tip_std > parameters.max_tip_std:
         return f"the tip is uncertain by {1e3 * estimate.tip_std:.0f} mm"

@@ -417,6 +417,8 @@ class _Reader:
         )
         unit = self.header.get(f"axis {listed} index units", unit).lower()
         scale = SECONDS.get(unit)
+        if values is not None and label == "time" and unit and not scale:
+            raise self.refuse(f"axis {listed} index units", "use s, ms or us")
         if values is not None and (scale or label == "time"):
             times = np.array(values.split(), float) * (scale or 1.0)
             if len(times) != count:

@@ -1,8 +1,10 @@
 """Formats of files with volumes or 2D frames, by suffix."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
+from sonoservo.systems.files.counting import counted
 from sonoservo.systems.files.nifti_reader import open_nifti
 from sonoservo.systems.files.nrrd_reader import open_nrrd
 from sonoservo.systems.files.plus_fields import as_plus_means
@@ -58,7 +60,24 @@ def open_file(path: Path, *, frames: bool = False, orientation: str = "") -> Vol
             f"{path}: this file type is not supported; use {', '.join(FORMATS)}, and write arrays "
             "with RecordingWriter"
         )
-    return as_plus_means(FORMATS[suffix](path, frames=frames), orientation)
+    return as_plus_means(_open_numbered(path, frames=frames), orientation)
+
+
+def _open_numbered(path: Path, *, frames: bool = False) -> VolumeFile:
+    """Open a file, and tell or refuse fields with numbers beyond those of its volumes or frames."""
+    file = FORMATS[_suffix(path)](path, frames=frames)
+    there = counted(file.count, "frame" if frames else "volume")
+    notes = []
+    for name, values in file.frame_fields().items():
+        first, last = (f"Seq_Frame{number:04d}_{name}" for number in (min(values), max(values)))
+        if max(values) < file.count:
+            continue
+        if min(values) > 0:  # each might be that of its neighbour
+            raise ConfigurationError(
+                f"{path}: {first} to {last}: the file holds {there}, counted from 0"
+            )
+        notes.append(f"{last} has no effect: the file holds {there}, counted from 0")
+    return replace(file, notes=(*file.notes, *notes[:1]))
 
 
 def _suffix(path: Path) -> str:
@@ -66,10 +85,11 @@ def _suffix(path: Path) -> str:
 
 
 def _open_folder(path: Path, *, frames: bool) -> VolumeFile:
-    if any(path.glob("*.[pP][nN][gG]")):
+    visible = [each for each in path.iterdir() if not each.name.startswith(".")]
+    if any(_suffix(each) == ".png" for each in visible):
         return open_png_folder(path, frames=frames)
-    files = [] if frames else [each for each in path.iterdir() if _suffix(each) in FORMATS]
+    files = [] if frames else [each for each in visible if _suffix(each) in FORMATS]
     if not files:
         held = "PNG images" if frames else f"volumes ({', '.join(FORMATS)})"
         raise ConfigurationError(f"{path}: it is a folder without {held}")
-    return open_volume_folder(path, files, lambda each: FORMATS[_suffix(each)](each))
+    return open_volume_folder(path, files, _open_numbered)

@@ -102,7 +102,8 @@ def _describe(
     if fields.get("ObjectType", "Image").lower() != "image":
         raise ConfigurationError(f"{path}: ObjectType: {fields['ObjectType']!r} is no Image")
     stated = n
-    if n == 3 and any(re.match("Seq_Frame0*1_", key) for key in fields):
+    numbers = {match[1] for key in fields if (match := re.match(r"Seq_Frame0*(\d+)_", key))}
+    if n == 3 and len(numbers) > 1:
         sizes = [*sizes[:2], 1, sizes[2]]  # frames, one after the other
     nx, ny, nz, count = (*sizes, 1)[:4]
     kind, channels = fields.get("ElementType", ""), _channels(path, fields)

@@ -20,7 +20,8 @@ TABLE = "poses.csv"
 def open_png_folder(path: Path, *, frames: bool = False) -> VolumeFile:
     """Open a folder of PNG images in the order of their names, 9 before 10, with a pose table."""
     image = require_extra("PIL.Image", "images", path)
-    files = natural_order(each for each in path.iterdir() if each.suffix.lower() == ".png")
+    shown = (each for each in path.iterdir() if not each.name.startswith("."))
+    files = natural_order(each for each in shown if each.suffix.lower() == ".png")
     if not files:
         raise ConfigurationError(f"{path}: it is a folder without PNG images")
     require_frames(path, frames, f"{len(files)} PNG images")

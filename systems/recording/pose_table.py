@@ -13,12 +13,13 @@ from pydrake.math import RigidTransform
 from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
 from sonoservo.systems.files.volume_file import number_or_nan
 from sonoservo.systems.recording.transform_chain import ends_of
-from sonoservo.systems.recording.valid_frames import matrix_text
+from sonoservo.systems.recording.valid_frames import matrix_text, read_matrix
 
 _MOST_BYTES = 1 << 26
 _ELEMENT = re.compile(r"(?:(\w+To\w+?)_)?m?([0-3])([0-3])", re.IGNORECASE)
 _VECTOR = re.compile(r"(?:(\w+To\w+?)_)?(x|y|z|qw|qx|qy|qz)", re.IGNORECASE)
 _PARTS = ("x", "y", "z", "qw", "qx", "qy", "qz")
+_ELEMENTS = [f"m{row}{column}" for row in range(3) for column in range(4)]
 _DEFAULT = "ProbeToReference"
 _TIMES = {
     "t": 1.0,
@@ -87,7 +88,7 @@ def read_pose_table(path: Path, files: Sequence[str]) -> tuple[dict[str, str], l
             for name, scale in _TIMES.items():
                 if name in row:
                     fields[f"{frame}_Timestamp"] = repr(scale * number_or_nan(row[name]))
-            matrices = _matrices(path, row)
+            matrices = _matrices(path, row, f"row {place + 1}")
             for name, text in matrices.items():
                 fields[f"{frame}_{name}Transform"] = text
             if not matrices and not unread:
@@ -143,9 +144,10 @@ def _number(
     return int(number) if number >= 0 and number.is_integer() else None
 
 
-def _matrices(path: Path, row: Mapping[str, str]) -> dict[str, str]:
+def _matrices(path: Path, row: Mapping[str, str], where: str) -> dict[str, str]:
     """Return the matrices of a row by name, as text; those with a missing number are left out."""
     found: dict[str, np.ndarray] = {}
+    elements: dict[str, set[str]] = {}
     vectors: dict[str, dict[str, float]] = {}
     for key, text in row.items():
         element, vector = _ELEMENT.fullmatch(key), _VECTOR.fullmatch(key)
@@ -159,8 +161,15 @@ def _matrices(path: Path, row: Mapping[str, str]) -> dict[str, str]:
         if element:
             matrix = found.setdefault(name, np.vstack([np.full((3, 4), np.nan), [0, 0, 0, 1]]))
             matrix[int(element[2]), int(element[3])] = number
+            elements.setdefault(name, set()).add(f"m{element[2]}{element[3]}")
         else:
             vectors.setdefault(name, {})[match[2].lower()] = number
+    for name, held in elements.items():
+        if missing := ", ".join(key for key in _ELEMENTS if key not in held):
+            raise ConfigurationError(
+                f"{path}: the matrix {name} is m00 to m23, row and column counted from 0; there is "
+                f"no column {missing}"
+            )
     for name, each in vectors.items():
         if len(each) != 7:
             missing = ", ".join(key for key in _PARTS if key not in each)
@@ -176,6 +185,10 @@ def _matrices(path: Path, row: Mapping[str, str]) -> dict[str, str]:
         ):
             pose = RigidTransform(Quaternion(q / np.linalg.norm(q)), place)
             found[name] = pose.GetAsMatrix4()
-    return {
+    texts = {
         name: matrix_text(matrix) for name, matrix in found.items() if np.isfinite(matrix).all()
     }
+    for name, text in texts.items():
+        if found[name][3, :3].any():  # the whole table's fault: a lost pose is zero throughout
+            read_matrix(path, f"{where}: {name}", text)
+    return texts

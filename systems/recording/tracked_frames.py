@@ -50,8 +50,10 @@ class TrackedFrames(FileItems):
             chain = self._from_the_image(chain)
             matrices = self._choose(chain, self._stated_times(frame_rate))
             if len(self) < 2:
+                why = f"; {self.notes[-1]}" if self.skipped else ""
                 raise ConfigurationError(
-                    f"{self.path}: {len(self)} frames have a valid pose; at least 2 are needed"
+                    f"{self.path}: frames with a valid pose: {len(self)}; at least 2 are needed"
+                    f"{why}"
                 )
             if not chain.start.startswith("Image"):
                 spacings = self._fields.get("ElementSpacing", {})

@@ -3,16 +3,22 @@
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from decimal import Decimal
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sonoservo.systems.files.natural_order import natural_order
+from sonoservo.systems.files.plus_fields import SEQUENCE_FIELDS, sequence_field
 from sonoservo.systems.files.refusals import ConfigurationError
-from sonoservo.systems.files.volume_file import MAX_FILES, VolumeFile
+from sonoservo.systems.files.volume_file import MAX_FILES, SCALE, VolumeFile
 
 _ONLY = "Seq_Frame0000_"  # beginning of the names of the fields of a file's only volume
+# A number in a name, with decimals unless it is part of a date or a version.
+_NUMBER = re.compile(r"(?<![\d.])\d+\.\d+(?!\.?\d)|\d+")
 
 
 def open_volume_folder(
@@ -24,7 +30,7 @@ def open_volume_folder(
     """
     if len(files) > MAX_FILES:
         raise ConfigurationError(f"{path}: {len(files)} files; at most {MAX_FILES} are allowed")
-    files = natural_order(files)
+    files = _in_order(files)
     volumes = [open_one(each) for each in files]
     first = volumes[0]
     fields, times = dict(first.fields), []
@@ -43,15 +49,33 @@ def open_volume_folder(
                 f"{each.path}: its origin {each.origin.tolist()} mm differs from that of "
                 f"{first.path}; poses belong into the fields of transforms"
             )
+        for name in (*SEQUENCE_FIELDS, SCALE):
+            here, there = (sequence_field(file.fields, name) for file in (each, first))
+            if here.upper() != there.upper():
+                raise ConfigurationError(
+                    f"{each.path}: {name}: {here or 'missing'}; that of {first.path} is "
+                    f"{there or 'missing'}, and all must agree"
+                )
         for name, value in each.fields.items():
             if name.startswith(_ONLY):
                 fields[name.replace(_ONLY, f"Seq_Frame{number:04d}_")] = value
         times.append(np.nan if each.times is None else float(each.times[0]))
+    kind = first.read(0).dtype.name
+
+    def read(number: int) -> NDArray[Any]:
+        voxels = volumes[number].read(0)
+        if voxels.dtype.name != kind:
+            raise ConfigurationError(
+                f"{files[number]}: its voxels are of the type {voxels.dtype.name}, and those of "
+                f"{first.path} of {kind}; all must agree"
+            )
+        return voxels
+
     return replace(
         first,
         path=path,
         count=len(volumes),
-        read=lambda number: volumes[number].read(0),
+        read=read,
         times=None if np.isnan(times).any() else np.array(times),
         fields=fields,
         notes=(
@@ -59,6 +83,24 @@ def open_volume_folder(
             *_holes([each.stem for each in files]),
         ),
     )
+
+
+def _in_order(files: Sequence[Path]) -> list[Path]:
+    """Return files in the order of the numbers in their names, in which alone these may differ."""
+    files = natural_order(files)
+    for one, other in pairwise(files):
+        if len({re.sub(r"\d+", "0", each.name) for each in (one, other)}) == 2:
+            raise ConfigurationError(
+                f"{other}: it cannot be ordered beside {one.name}; in a folder of volumes, the "
+                "names of files differ in their numbers alone, and label maps lie elsewhere"
+            )
+        numbers = [list(map(Decimal, _NUMBER.findall(each.name))) for each in (one, other)]
+        if numbers[0] > numbers[1]:
+            raise ConfigurationError(
+                f"{other}: does it come before or after {one.name}? Write as many digits after "
+                "the point in each name"
+            )
+    return files
 
 
 def _holes(stems: Sequence[str]) -> tuple[str, ...]:

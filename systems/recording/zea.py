@@ -1,5 +1,6 @@
 """Reader and writer of volumes in the HDF5 files of zea, a toolbox for cognitive ultrasound."""
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from sonoservo.systems.signals.volume import Volume
 SUFFIXES = (".hdf5", ".h5")
 
 _MAPS = ("image_sc", "image")
+_FARTHEST = 10.0  # Largest place of the probe along an axis, in m; no tracker sees farther
 _RAW = ("raw_data", "aligned_data", "beamformed_data", "envelope_data")
 # Order of the places of the first and last pixels, in m; z is the depth, y the elevation.
 _EXTENT = ("xmin", "xmax", "ymin", "ymax", "zmax", "zmin")
@@ -41,12 +43,19 @@ def open_zea(path: Path, *, frames: bool = False) -> VolumeFile:
             place = dict(
                 zip(_EXTENT, 1e3 * np.asarray(extent, float).reshape(-1, 6)[0], strict=True)
             )
+            for axis in "xz" if flat else "xyz":
+                least, most = (1e-3 * place[f"{axis}{end}"] for end in ("min", "max"))
+                if not most > least:
+                    raise ConfigurationError(
+                        f"{path}: extent: {axis}max, {most:g} m, is not above {axis}min, {least:g} "
+                        f"m; its numbers are {', '.join(_EXTENT)}"
+                    )
             low = np.array([place["xmin"], place["zmin"], 0.0 if flat else place["ymin"]])
             high = np.array([place["xmax"], place["zmax"], 1.0 if flat else place["ymax"]])
             steps = (high - low) / np.maximum(np.array(shape) - 1, 1)
             origin = low
         check_layout(path, shape, count, np.diag(steps), frames=frames)
-        fields, times = _poses(file, count)
+        fields, times = _poses(path, file, count)
 
     def read(number: int) -> NDArray[Any]:
         return np.asarray(pixels[number]).reshape(shape)
@@ -88,17 +97,33 @@ class _Turned:
         return np.asarray(self._data[number]).T
 
 
-def _poses(file: Any, count: int) -> tuple[dict[str, str], NDArray[np.float64] | None]:
+def _samples(path: Path, metadata: Any, name: str, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """Return numbers of the metadata, of which each image has one, or an array."""
+    samples = np.asarray(metadata[name]["samples"][()], float)
+    if samples.size != math.prod(shape):
+        raise ConfigurationError(
+            f"{path}: metadata/{name}/samples: their shape is {samples.shape}; expected {shape}, "
+            "with one for each image"
+        )
+    return samples.reshape(shape)
+
+
+def _poses(path: Path, file: Any, count: int) -> tuple[dict[str, str], NDArray[np.float64] | None]:
     """Return the fields of the volumes' poses, and the times, if there are any."""
     metadata = file.get("metadata", {})
     fields: dict[str, str] = {}
     times = None
     if "volume_time" in metadata:
-        group = metadata["volume_time"]
-        times = float(group.attrs.get("start", 0.0)) + np.asarray(group["samples"][()], float)
+        start = metadata["volume_time"].attrs.get("start", 0.0)
+        times = float(start) + _samples(path, metadata, "volume_time", (count,))
     if "probe_pose" in metadata:
-        matrices = np.asarray(metadata["probe_pose"]["samples"][()], float).reshape(-1, 4, 4)
-        for k, matrix in enumerate(matrices[:count]):
+        matrices = _samples(path, metadata, "probe_pose", (count, 4, 4))
+        for k, matrix in enumerate(matrices):
+            if np.abs(matrix[:3, 3]).max() > _FARTHEST:
+                raise ConfigurationError(
+                    f"{path}: metadata/probe_pose/samples: the place of volume {k}, "
+                    f"{matrix[:3, 3].tolist()} m, is out of range (+-{_FARTHEST:g} m); is it in mm?"
+                )
             matrix[:3, 3] *= 1e3
             fields[f"Seq_Frame{k:04d}_ProbeToReferenceTransform"] = matrix_text(matrix)
     if SCALE in file.attrs:

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +24,7 @@ from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.typed_yaml import load_typed, read_yaml
 from sonoservo.systems.robot.directives import add_directives, motors, resolve_files
 from sonoservo.systems.robot.probe_body import AddProbeBody, ProbeBody
-from sonoservo.systems.signals.requirements import Bounded, NotNegative, Positive, require
+from sonoservo.systems.signals.requirements import Bounded, NotNegative, Positive, require, within
 
 
 @dataclass(kw_only=True)
@@ -54,8 +55,9 @@ class Arm(Bounded):
         Highest speeds of the joints in rad/s; if empty, those in the model's file are used.
     torque_error
         Standard deviations of the errors of the external torques that the arm reports for its
-        joints, in N m. If empty, it reports none: nothing but the wrist's sensor then tells how
-        hard the probe presses, which limits force and depth.
+        joints, in N m; with more than 1 N m, they would tell nothing. If empty, it reports none:
+        nothing but the wrist's sensor then tells how hard the probe presses, which limits force and
+        depth.
     """
 
     directives: list[ModelDirective] = field(default_factory=list)
@@ -63,7 +65,7 @@ class Arm(Bounded):
     flange: str = "flange"
     servo: JointServo = field(default_factory=JointServo)
     max_speed: list[float] = field(default_factory=list)
-    torque_error: list[Positive] = field(default_factory=list)
+    torque_error: list[Annotated[float, within(1e-3, 1.0, " N m")]] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -132,6 +134,8 @@ def _check(plant: MultibodyPlant, instance: ModelInstanceIndex, arm: Arm) -> Non
     order = [motor.joint().position_start() for motor in motors(plant, instance)]
     if order != sorted(order):
         raise ValueError("directives: the model's transmissions are not in the order of its joints")
+    if plant.num_velocities() > count:
+        raise ValueError("directives: something moves beside the arm; weld it to the world")
     for joint, speed in zip(joints, plant.GetVelocityUpperLimits(), strict=True):
         require(
             speed > 0,

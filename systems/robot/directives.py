@@ -68,7 +68,7 @@ def add_directives(
         parser.package_map().Add(name, folder)
     try:
         ProcessModelDirectives(ModelDirectives(directives=directives), parser)
-    except RuntimeError as error:
+    except (RuntimeError, SystemExit) as error:  # the latter by Drake's own assertions
         said = " ".join(str(error).split())
         unknown = re.search(r"unknown package '(.+?)'", said)
         if unknown and packages is not None:

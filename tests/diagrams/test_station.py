@@ -137,6 +137,7 @@ def plant(**settings):
     [
         (lambda: plant(time_step=0.0), "plant.time_step"),
         (lambda: plant(discrete_contact_approximation="x"), "plant.discrete_contact.*or sap"),
+        (lambda: plant(penetration_allowance=-1.0), "plant.penetration_allowance.*above 0"),
         (lambda: StationParameters(phantom_position=[0.1, 0.1]), "phantom_position"),
         (lambda: ProbePlacement(yaw_deg=float("nan")), "yaw_deg"),
     ],

@@ -88,6 +88,7 @@ def test_speeds_are_limited():
         (TrackingMode.TRACKING, 0.3, 5e-3, ""),
         (TrackingMode.COASTING, 0.3, 20e-3, "the tip is uncertain by 35 mm"),
         (TrackingMode.TRACKING, 1.6, 1e-3, "the estimate is 1.6 s old"),
+        (TrackingMode.TRACKING, -9.0, 1e-3, "the estimate is -9.0 s old"),
         (TrackingMode.LOST, 1.6, 20e-3, ""),
     ],
 )

@@ -80,7 +80,8 @@ def test_without_poses_the_probe_is_at_rest_until_they_come(lines):
     matcher.feed(pose(2.0, 9.0), 1.0)  # its marker was hidden till now
     (posed,) = matcher.feed(image(2.0), 1.0)
     np.testing.assert_array_equal(posed.X_WL.translation(), [9, 0, 0])
-    assert matcher.posed and "poses have come" in lines[-1]
+    assert matcher.posed
+    assert "poses have come" in lines[-1]
     matcher = ImageMatcher(report=lines.append)  # what tells how an image was acquired has its pose
     matcher.feed(TextItem("Acquisition", 1.0, ACQUISITION), 0.0)
     assert len(matcher.feed(image(1.0), 0.0)) == 1

@@ -163,11 +163,27 @@ def test_a_row_that_is_missing_costs_its_frame(tmp_path, frames):
     [
         ("file,time,x\na.png,1,2", "x, y, z, qw"),
         ("x,y,z,w,qx,qy,qz\n1,2,3,1,0,0,0", "there is no column qw"),
-        ("file,m00\na.png,1\na.png,1", "rows 1 and 2 are both that of a.png"),
+        (
+            "file,x,y,z,qw,qx,qy,qz\na.png,1,2,3,1,0,0,0\na.png,1,2,3,1,0,0,0",
+            "rows 1 and 2 are both that of a.png",
+        ),
         ("x;y;z;qw;qx;qy;qz\n1,5;2;3;1;0;0;0", "row 1: column x: '1,5' is no number, with a comma"),
         ("time,AngleToo_m00\n1,2", "names no transform"),
         ("file,m00\nb.png,1", "row 1: column file: there is no image 'b.png'; the first one is 'a"),
         ("x,y,z,qw,qx,qy,qz\n1,2,3,90,45,0,0", "row 1: its quaternion has a length other than 1"),
+        (
+            "m00,m01,m02,m10,m11,m12,m20,m21,m22,m30,m31,m32\n1,0,0,0,1,0,0,0,1,1,2,3",
+            "counted from 0; there is no column m03, m13, m23",
+        ),
+        (
+            "m11,m12,m13,m14,m21,m22,m23,m24,m31,m32,m33,m34\n1,0,0,1,0,1,0,2,0,0,1,3",
+            "counted from 0; there is no column m00, m01, m02, m03, m10, m20",
+        ),
+        (
+            ",".join(f"m{i}{j}" for i in range(4) for j in range(4))
+            + "\n1,0,0,0,0,1,0,0,0,0,1,0,1,2,3,1",
+            r"row 1: ProbeToReference: .*its translation is in the last row: transposed\?",
+        ),
         ("frame,m00\n1,2", "row 1 is that of frame 1; there are 1"),
         ("Pos1,Pos2\n1,2", r"none of its columns \(Pos1, Pos2\) is part of a pose"),
     ],
@@ -282,6 +298,57 @@ def test_volumes_go_to_zea_and_come_back(tmp_path):
             writer.append(Scene(spacing=2e-3).volume(0))
 
 
+def _change(name, change):
+    """Return a function that replaces an array of an HDF5 file."""
+
+    def changed(file):
+        there = file[name][()]
+        del file[name]
+        file[name] = change(there)
+
+    return changed
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (
+            _change("data/image_sc/extent", lambda extent: extent[[0, 1, 2, 3, 5, 4]]),
+            r"extent: zmax, 0 m, is not above zmin, 0\.\d+ m; its numbers are xmin, xmax",
+        ),
+        (
+            _change("metadata/volume_time/samples", lambda times: times[:1]),
+            r"metadata/volume_time/samples: their shape is \(1,\); expected \(2,\)",
+        ),
+        (
+            _change("metadata/volume_time/samples", lambda times: np.append(times, 2)),
+            r"their shape is \(3,\); expected \(2,\)",
+        ),
+        (
+            _change("metadata/probe_pose/samples", lambda poses: poses[:1]),
+            r"probe_pose/samples: their shape is \(1, 4, 4\); expected \(2, 4, 4\)",
+        ),
+        (
+            _change(
+                "metadata/probe_pose/samples",
+                lambda poses: poses + np.outer([50, 0, 0, 0], [0, 0, 0, 1]),
+            ),
+            r"place of volume 0, \[50.0, 0.0, 0.0\] m, is out of range \(\+-10 m\); is it in mm\?",
+        ),
+    ],
+)
+def test_files_of_zea_that_contradict_themselves_are_refused(tmp_path, change, message):
+    path = tmp_path / "a.hdf5"
+    with ZeaWriter(path) as writer:
+        for k in (0, 1):
+            writer.append(Scene(spacing=2e-3).volume(k))
+    assert len(Recording(path)) == 2
+    with h5py.File(path, "r+") as file:
+        change(file)
+    with pytest.raises(ConfigurationError, match=message):
+        Recording(path)
+
+
 def test_files_of_zea_without_images_are_refused(tmp_path):
     path = tmp_path / "a.hdf5"
     with h5py.File(path, "w") as file:
@@ -371,6 +438,7 @@ def test_a_file_for_each_volume_is_a_sequence(tmp_path):
         pose = f"1 0 0 {number} 0 1 0 0 0 0 1 0 0 0 0 1"
         fields = {"ProbeToTrackerTransform": pose, "ProbeToTrackerTransformStatus": "OK"}
         nrrd.write(str(folder / f"v{number}.nrrd"), each, header | fields)
+    (folder / "._v1.nrrd").write_bytes(b"what macOS keeps beside a file")
     read = Recording(folder, volume_rate=4)
     assert len(read) == 11
     np.testing.assert_allclose(read[10].time, 2.5)
@@ -390,6 +458,44 @@ def test_a_file_for_each_volume_is_a_sequence(tmp_path):
     sequence = np.moveaxis(levels, 0, -1)[..., np.newaxis, :]
     nibabel.save(nibabel.Nifti1Image(sequence, np.eye(4)), tmp_path / "ants.nii")
     assert len(Recording(tmp_path / "ants.nii", volume_rate=4)) == 11
+
+
+@pytest.mark.parametrize(
+    ("names", "dtype", "fields", "message"),
+    [
+        ("v0 v1", "i2", {}, "v1.nrrd: its voxels are of the type int16, and those of .*of uint8"),
+        (
+            "v0 v1",
+            "u1",
+            {"UltrasoundImageOrientation": "UFA"},
+            "v1.nrrd: UltrasoundImageOrientation: UFA; that of .*v0.nrrd is MFA",
+        ),
+        (
+            "v0 v1",
+            "u1",
+            {"decibels_per_level": "0.3"},
+            "v1.nrrd: decibels_per_level: 0.3; that of .*v0.nrrd is missing",
+        ),
+        ("v0 v0-label", "u1", {}, "v0.nrrd: it cannot be ordered beside v0-label.nrrd"),
+        ("t0.5 t0.25", "u1", {}, "t0.25.nrrd: does it come before or after t0.5.nrrd"),
+        ("t0.50 t0.25", "u1", {}, ""),
+        ("s1_t0.50 s2_t0.25", "u1", {}, ""),
+        ("1.2.9 1.2.10", "u1", {}, ""),
+    ],
+)
+def test_files_of_a_folder_that_do_not_belong_together_are_refused(
+    tmp_path, names, dtype, fields, message
+):
+    header = {"space": "left-posterior-superior", "space directions": np.diag([0.6, 0.5, 0.7])}
+    stated = {"UltrasoundImageOrientation": "MFA"}
+    for name, kind, more in zip(names.split(), ("u1", dtype), ({}, fields), strict=True):
+        voxels = np.arange(9 * 8 * 7).reshape(9, 8, 7).astype(kind)
+        nrrd.write(str(tmp_path / f"{name}.nrrd"), voxels, header | stated | more)
+    if message:
+        with pytest.raises(ConfigurationError, match=message):
+            list(Recording(tmp_path, volume_rate=4))
+    else:
+        assert len(Recording(tmp_path, volume_rate=4)) == 2
 
 
 def test_a_missing_package_is_named_with_its_extra(tmp_path, monkeypatch):

@@ -1,3 +1,5 @@
+import re
+
 import numpy as np
 import pytest
 from tracked_frames import freehand, write_plus_file
@@ -15,6 +17,27 @@ def test_invalid_frames_are_left_out(tmp_path, frames):
     read = TrackedFrames(write_plus_file(tmp_path / "f.mha", frames, bad=(0, 3)))
     assert (len(read), read.skipped) == (4, 2)
     np.testing.assert_array_equal(read[0], frames[1].pixels)
+
+
+def test_fields_beyond_the_last_frame_are_told(tmp_path, frames):
+    """After a cut, the fields of the frames that were cut off are left."""
+    path = write_plus_file(tmp_path / "f.mha", frames)
+    path.write_bytes(path.read_bytes().replace(b"DimSize = 40 50 6", b"DimSize = 40 50 4"))
+    read = TrackedFrames(path)
+    np.testing.assert_allclose(read.X_WI, [frame.X_WI for frame in frames[:4]], atol=1e-9)
+    note = "Seq_Frame0005_ImageToReferenceTransform has no effect: the file holds 4 frames"
+    assert any(each.startswith(note) for each in read.notes)
+
+
+@pytest.mark.parametrize("first", [1, 100])
+def test_frames_counted_from_another_number_are_refused(tmp_path, frames, first):
+    path = write_plus_file(tmp_path / "f.mha", frames)
+    header, begin, data = path.read_bytes().partition(b"ElementDataFile")
+    header = re.sub(rb"(?<=Frame)\d{4}", lambda each: b"%04d" % (int(each[0]) + first), header)
+    path.write_bytes(header + begin + data)
+    named = rf"Seq_Frame{first:04d}_\w+ to Seq_Frame{first + 5:04d}_\w+"
+    with pytest.raises(ConfigurationError, match=f"{named}: the file holds 6 frames, counted from"):
+        TrackedFrames(path)
 
 
 def test_pose_of_a_probe_uses_the_spacing_of_the_header(tmp_path, frames):

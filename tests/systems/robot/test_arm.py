@@ -80,10 +80,16 @@ def test_motors_and_speed_limits_that_the_model_lacks_are_added(own, tmp_path):
         ("name: arm", "name: robot", "no model instance named 'arm'"),
         ('child: "arm::base_link"', "child: world", "directives.1.add_weld.child: 'world'"),
         (', child: "arm::base_link"', "", "directives.1.add_weld.child: is missing"),
+        (
+            "  - add_weld:",
+            "  - add_model: {name: other, file: viper_s850.urdf}\n  - add_weld:",
+            "something moves beside the arm",
+        ),
         ("add_weld:", "add_wld:", "directives.1.add_wld: unknown.*add_weld"),
         ('"arm::base_link"', '"arm::base_link", X_PC: {rotation: !Rpi {}}', "Rpi"),
         ("flange: flange", "flange: flange\nmax_speed: [1]", "max_speed: .*6 numbers"),
         ('  - add_weld: {parent: world, child: "arm::base_link"}', "", "no add_weld joins"),
+        ("torque_error: [0.3", "torque_error: [5", r"torque_error.0: 5.0 .*from 0\.001 to 1 N m"),
     ],
 )
 def test_a_mistake_names_the_file_and_the_field(own, old, new, message):
@@ -101,9 +107,10 @@ def test_a_mistake_names_the_file_and_the_field(own, old, new, message):
             r"max_speed of joint_1: 0\.0 is not .*cannot move",
         ),
         (r"(?s)<inertial>.*?</inertial>", "", "joint_1 moves link_1, which has no mass"),
+        (r'lower="([^"]*)" upper="([^"]*)"', r'lower="\2" upper="\1"', "mine.yaml: .*limits"),
         (r'(joint_6" type=)"revolute"', r'\1"continuous"', ""),
     ],
-    ids=["no speed", "no inertia", "continuous"],
+    ids=["no speed", "no inertia", "reversed limits", "continuous"],
 )
 def test_arm_that_cannot_move_is_refused(own, tmp_path, pattern, new, message):
     path = own()
