@@ -111,9 +111,9 @@ class _FunctionTracker(LeafSystem):
             return EventStatus.DidNothing()
         try:
             estimate = checked(self._step, volume, self._name)
-        except ConfigurationError:
+        except (ConfigurationError, KeyboardInterrupt):
             raise
-        except Exception as error:
+        except BaseException as error:  # it may call sys.exit
             calls = extract_tb(error.__traceback__)
             theirs = [each for each in calls if not each.filename.startswith(_OURS)]
             where = f", in {theirs[-1].filename}, line {theirs[-1].lineno}" if theirs else ""
@@ -121,28 +121,39 @@ class _FunctionTracker(LeafSystem):
                 f"{self._name}: this tracker of yours failed at {volume.time:.2f} s{where}: "
                 f"{type(error).__name__}: {describe(error)}"
             ) from error
-        if estimate and (estimate.velocity is None or estimate.covariance is None):
-            raise ConfigurationError(
-                f"{self._name}: an estimate with a curve needs its velocity and covariance as well"
-            )
-        if estimate.time > volume.time + MAX_STEP:
-            raise ConfigurationError(
-                f"{self._name}: its estimate is {estimate.time - volume.time:.3g} s ahead of its "
-                "volume"
-            )
-        if estimate.covariance is not None:
-            variances = np.linalg.eigvalsh(estimate.covariance)
-            if variances[0] < -1e-6 * abs(variances[-1]):
-                raise ConfigurationError(f"{self._name}: its covariance has negative variances")
-        if estimate.curve is not None:
-            away = float(np.linalg.norm(estimate.curve.tip - volume.X_WP.translation()))
-            if away > _FARTHEST:
-                raise ConfigurationError(
-                    f"{self._name}: its tip lies {away:.3g} m from the probe; a curve's control "
-                    "points are in W, in m"
-                )
+        if fault := _fault(estimate, volume):
+            raise ConfigurationError(f"{self._name}: {fault}")
         if estimate.volume_time < volume.time:
             estimate = replace(estimate, volume_time=volume.time)
         state.get_mutable_abstract_state(self._newest).set_value(volume)
         state.get_mutable_abstract_state(self._estimate).set_value(estimate)
         return EventStatus.Succeeded()
+
+
+def _fault(estimate: NeedleEstimate, volume: Volume) -> str:
+    """Return what is wrong with an estimate after a volume; empty if nothing is."""
+    if estimate.mode not in list(TrackingMode):
+        return f"mode: {estimate.mode!r}; one of {', '.join(TrackingMode)}"
+    if estimate.mode == TrackingMode.SEARCHING and estimate:
+        return "mode: searching, with a curve; one that is found is tracking"
+    if estimate.mode in (TrackingMode.TRACKING, TrackingMode.COASTING) and not estimate:
+        return f"mode: {estimate.mode}, without a curve"
+    if estimate and (estimate.velocity is None or estimate.covariance is None):
+        return "an estimate with a curve needs its velocity and covariance as well"
+    if not 0 <= estimate.probability <= 1:
+        return f"probability: {estimate.probability} is not allowed; it must be from 0 to 1"
+    if not np.isfinite(estimate.time):
+        return f"time: {estimate.time} is not allowed; it must be a number of seconds"
+    if estimate.time > volume.time + MAX_STEP:
+        return f"its estimate is {estimate.time - volume.time:.3g} s ahead of its volume"
+    if estimate.covariance is not None:
+        variances = np.linalg.eigvalsh(estimate.covariance)
+        if variances[0] < -1e-6 * abs(variances[-1]):
+            return "its covariance has negative variances"
+    if estimate.curve is not None:
+        away = float(np.linalg.norm(estimate.curve.tip - volume.X_WP.translation()))
+        if away > _FARTHEST:
+            return (
+                f"its tip lies {away:.3g} m from the probe; a curve's control points are in W, in m"
+            )
+    return ""

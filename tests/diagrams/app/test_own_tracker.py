@@ -1,15 +1,21 @@
 """A tracker of one's own in `run` and `track`, in the forms that the benchmark takes."""
 
 import json
+import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from live_items import make_volume
+from pydrake.common.value import Value
 
 from sonoservo.diagrams import run, track_recording
 from sonoservo.diagrams.app.cli import run_arguments
+from sonoservo.diagrams.app.own_tracker import as_system
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.recording import Recording
 from sonoservo.systems.recording.side_files import TRUTH, side_path
+from sonoservo.systems.signals import TrackingMode
 
 SHORT = ["duration=0.9", "imaging.frames=7", "imaging.volume_rate=8", "hand.start=0.2"]
 MINE = """
@@ -66,9 +72,21 @@ def ahead():
 def timeless():
     return lambda volume: NeedleEstimate(TrackingMode.SEARCHING, volume.time)
 
+def interrupted():
+    def track(volume):
+        raise KeyboardInterrupt
+    return track
+
 def plain(volume):
     return 5
 """
+
+
+def looked(system):
+    """Show a volume to a tracker's system."""
+    context = system.CreateDefaultContext()
+    system.GetInputPort("volume").FixValue(context, Value[object](make_volume(1.0)))
+    system.ExecuteForcedEvents(context)
 
 
 @pytest.fixture
@@ -148,6 +166,28 @@ def test_what_was_tracked_before_a_failure_is_kept(mine, tmp_path):
 def test_what_is_no_tracker_is_refused(mine, factory, message):
     with pytest.raises(ConfigurationError, match=message):
         run("chatelain2013_fig5", changes=SHORT, tracker=f"own_tracker_of_a_test:{factory}")
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"time": np.nan}, "time: nan is not allowed"),
+        ({"probability": 7.0}, r"probability: 7\.0 is not allowed.*from 0 to 1"),
+        ({"mode": "found"}, "mode: 'found'; one of searching, tracking"),
+        ({"mode": TrackingMode.SEARCHING}, "mode: searching, with a curve"),
+        ({"curve": None, "velocity": None, "covariance": None}, "mode: tracking, without a curve"),
+    ],
+)
+def test_an_estimate_that_makes_no_sense_is_refused_at_once(mine, changed, message):
+    with pytest.raises(ConfigurationError, match=f"make.*: {message}"):
+        looked(as_system(lambda volume: replace(mine.make()(volume), **changed), period=0.1))
+
+
+def test_a_tracker_that_ends_the_program_has_failed(mine):
+    with pytest.raises(ConfigurationError, match="failed at 1.00 s.*SystemExit: 3"):
+        looked(as_system(lambda volume: sys.exit(3), period=0.1))
+    with pytest.raises(KeyboardInterrupt):
+        looked(as_system(mine.interrupted(), period=0.1))
 
 
 def test_a_tracker_out_of_place_is_refused(mine, capsys):
