@@ -1,6 +1,7 @@
 """Localization of the needle in a single volume."""
 
 from dataclasses import dataclass
+from numbers import Integral
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,8 @@ from sonoservo.systems.recording.recording import Recording
 from sonoservo.systems.signals.immutable import Immutable, NotFound
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_prediction import NeedlePrediction
-from sonoservo.systems.signals.requirements import require, require_positive
+from sonoservo.systems.signals.requirements import require, require_within
+from sonoservo.systems.signals.sweep import DYNAMIC_RANGE_DB
 from sonoservo.systems.signals.volume import Volume
 from sonoservo.systems.tracking.localizer_parameters import NeedleLocalizerParameters
 from sonoservo.systems.tracking.pipeline import explain_localization
@@ -21,6 +23,8 @@ from sonoservo.systems.tracking.volume_plausibility import (
     VolumePlausibilityParameters,
     implausible,
 )
+
+_FARTHEST = 5.0  # Distance of an array from the origin in m; a larger one is given in mm
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,15 +82,22 @@ def locate(
     -------
     The needle in the array's coordinates, or a `NotFound` with the reason.
     """
-    require_positive(dynamic_range_db=dynamic_range_db)
+    levels, first = np.asarray(intensities), np.asarray(origin)
+    require(not np.iscomplexobj(levels), "intensities", levels.dtype.name, "real numbers")
+    require(np.abs(first).max() <= 1, "origin", first.tolist(), "at most 1 m away, in m")
+    require(isinstance(seed, Integral) and seed >= 0, "seed", seed, "a whole number of at least 0")
+    require_within("dynamic_range_db", dynamic_range_db, *DYNAMIC_RANGE_DB)
     volume = Volume(
-        np.asarray(intensities),
-        np.asarray(origin),
+        levels,
+        first,
         np.asarray(spacing),
         RigidTransform(),
         0.0,
         decibels_per_level=dynamic_range_db / 255,
     )
+    for axis, place in enumerate(volume.origin):
+        allowed = f"within {_FARTHEST:g} m of 0; lengths are in m, and 20 mm is 20e-3"
+        require(abs(place) <= _FARTHEST, f"origin[{axis}]", float(place), allowed)
     return locate_in(volume, order=order, seed=seed)
 
 
@@ -99,6 +110,8 @@ def locate_in(
 ) -> LocatedNeedle | NotFound:
     """Locate the needle in a `Volume`, in W, with the localizer's parameters; see `locate`."""
     require(order in (2, 3), "order", order, "2 or 3")
+    whole = isinstance(seed, Integral) and seed >= 0
+    require(whole, "seed", seed, "a whole number of at least 0")
     if reason := implausible(volume, None, None, volume.time, 0.0, VolumePlausibilityParameters()):
         return NotFound(f"a volume is refused: {reason}")
     anywhere = NeedlePrediction(order, volume.time, everywhere=True)

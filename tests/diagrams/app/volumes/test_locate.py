@@ -71,6 +71,17 @@ def test_arrays_without_content_have_no_needle(content, shape):
     assert found.reason
 
 
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("intensities", 1j), ("origin", [-20, 5, -30]), ("seed", 1.5), ("dynamic_range_db", -1)],
+)
+def test_arguments_that_make_no_sense_are_named(field, value):
+    given = {"intensities": np.zeros((9, 9, 9)), "spacing": [1e-3] * 3}
+    value = np.full((9, 9, 9), value) if field == "intensities" else value
+    with pytest.raises(ValueError, match=field):
+        locate(**{**given, field: value})
+
+
 def test_a_volume_that_is_not_there(tmp_path, made):
     recording = Recording(write_volume(tmp_path / "a.nrrd", made.volume))
     with pytest.raises(ConfigurationError, match=r"volume 3 is out of range \(0 to 0\)"):
