@@ -4,7 +4,8 @@ A dataclass is both what the parser offers, as a panel of the help, and what the
 """
 
 import inspect
-from collections.abc import Callable, Iterator
+import os
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from copy import copy
 from dataclasses import dataclass, fields, is_dataclass
@@ -37,6 +38,24 @@ def waiting(words: str) -> Iterator[None]:
 
 
 _STANDARD_OUTPUT = Path("-")
+_FOR_STREAMS = "it is for connections, and the source is a file"
+
+
+def refuse_given(options: Any, why: str, names: Collection[str] = ()) -> None:
+    """Refuse options of a concern, or those of some names, that are not the default."""
+    hints = get_type_hints(type(options), include_extras=True)
+    for each in fields(options):
+        if (not names or each.name in names) and getattr(options, each.name) != each.default:
+            named = str(hints[each.name].__metadata__[-1].default)  # typer takes it for the default
+            usual = f"--{each.name.replace('_', '-')}"
+            raise ConfigurationError(f"{named if named[:2] == '--' else usual}: {why}")
+
+
+def refuse_for_files(*options: Any) -> None:
+    """Refuse options of concerns that only connections have."""
+    for each in options:
+        refuse_given(each, _FOR_STREAMS)
+
 
 ScenarioArgument = Annotated[
     str, typer.Argument(help="Name from `sonoservo list`, or path of a YAML file.")
@@ -157,12 +176,12 @@ class Reading(GreyLevels, Poses, Volumes):
 
     def refuse_for_streams(self) -> None:
         """Refuse what only files have."""
-        for name in ("plus_config", "calibration", "void", "luminance"):
-            if getattr(self, name) not in (None, False):
-                option = name.replace("_", "-")
-                raise ConfigurationError(
-                    f"--{option}: it is for files, and the source is a connection"
-                )
+        names = ("plus_config", "calibration", "void", "luminance", "volume_rate")
+        refuse_given(self, "it is for files, and the source is a connection", names)
+
+    def refuse_for_files(self) -> None:
+        """Refuse what only connections have."""
+        refuse_given(self, _FOR_STREAMS, ("clock_offset", "motor"))
 
 
 @dataclass(kw_only=True)
@@ -191,6 +210,20 @@ class Frames:
 @dataclass(kw_only=True)
 class ReadingFrames(Frames, Reading):
     """Reading of volumes, or of 2D frames that volumes are made of."""
+
+    def refuse_for_files(self) -> None:
+        """Refuse what only connections have, and what reconstruction alone needs."""
+        super().refuse_for_files()
+        self._refuse_for_volumes()
+
+    def refuse_for_streams(self) -> None:
+        """Refuse what only files have, and what reconstruction alone needs."""
+        super().refuse_for_streams()
+        self._refuse_for_volumes()
+
+    def _refuse_for_volumes(self) -> None:
+        if not self.reconstruct:
+            refuse_given(self, "it is for frames, with --reconstruct", ("frames", "spacing"))
 
 
 @dataclass(kw_only=True)
@@ -255,6 +288,19 @@ class LiveLimits(Bounded):
         Positive | None,
         typer.Option(help="Live: end if no volume arrives for this long, in s."),
     ] = None
+
+
+@dataclass(kw_only=True)
+class Listening:
+    """Listening to a connection."""
+
+    seconds: Annotated[
+        float,
+        typer.Option(min=0.5, help="Live: time to listen after the first message, in s."),
+    ] = 5.0
+    patience: Annotated[
+        float, typer.Option(help="Live: time to wait for the first message, in s.")
+    ] = 30.0
 
 
 @dataclass(kw_only=True)
@@ -357,6 +403,7 @@ def with_common_options(command: Callable[..., None]) -> Callable[..., None]:
         try:
             for name, value in options.items():
                 _require_text(name, value)
+            _require_file_of_its_own(options.get("json_path"), options)
             with set_memory_budget(max_memory, "--max-memory"):
                 console.stderr = options.get("json_path") == _STANDARD_OUTPUT
                 made = {name: _made(schema, options) for name, schema in concerns.items()}
@@ -422,6 +469,20 @@ def _require_text(name: str, value: object) -> None:
                 raise ConfigurationError(
                     f"{name}: {str(each)!a} is not UTF-8; rename the file or folder"
                 ) from error
+
+
+def _require_file_of_its_own(path: Path | None, options: Mapping[str, Any]) -> None:
+    """Raise ConfigurationError if ``--json`` names a folder, or a file that is read."""
+    if path is None or not path.exists():
+        return
+    if path.is_dir():
+        raise ConfigurationError(f"--json: {path} is a folder; it must be a file, or -")
+    for name, value in options.items():
+        read = name != "json_path" and isinstance(value, str | Path) and os.path.exists(value)
+        if read and os.path.samefile(value, path):
+            raise ConfigurationError(
+                f"--json: {path} is the {name} itself; it must be another file, or -"
+            )
 
 
 def say(line: str) -> None:

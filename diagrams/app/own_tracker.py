@@ -1,8 +1,10 @@
 """Trackers of a user's own, as the benchmark takes them, in the place of the built-in ones."""
 
+import math
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from numbers import Real
 from pathlib import Path
 from traceback import extract_tb
 from typing import TypeAlias
@@ -15,6 +17,7 @@ from sonoservo.diagrams.benchmark.entrants import Step, checked, resolve_entrant
 from sonoservo.systems.files.refusals import ConfigurationError, describe, refusing_failures
 from sonoservo.systems.files.volume_file import MAX_STEP
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
+from sonoservo.systems.signals.requirements import within
 from sonoservo.systems.signals.volume import Volume
 
 _OURS = tuple(str(Path(__file__).parents[2] / part) for part in ("systems", "diagrams"))
@@ -67,7 +70,11 @@ def as_system(tracker: OwnTracker, *, period: float, offset: float = 0.0) -> Sys
             tracker,
             "it is called without arguments, to return a function of a Volume or a Drake system",
         ):
-            name, step = tracker, start_tracker(resolve_entrant(_importable(tracker), {}), seed=0)
+            try:
+                step = start_tracker(resolve_entrant(_importable(tracker), {}), seed=0)
+            except SystemExit as error:  # it is no Exception
+                raise RuntimeError(f"SystemExit: {describe(error)}") from error
+        name = tracker
         module, _, function = tracker.partition(":")
     elif isinstance(tracker, System | type) or not callable(tracker):
         return tracker
@@ -123,7 +130,7 @@ class _FunctionTracker(LeafSystem):
             ) from error
         if fault := _fault(estimate, volume):
             raise ConfigurationError(f"{self._name}: {fault}")
-        if estimate.volume_time < volume.time:
+        if estimate.volume_time != volume.time:
             estimate = replace(estimate, volume_time=volume.time)
         state.get_mutable_abstract_state(self._newest).set_value(volume)
         state.get_mutable_abstract_state(self._estimate).set_value(estimate)
@@ -140,9 +147,9 @@ def _fault(estimate: NeedleEstimate, volume: Volume) -> str:
         return f"mode: {estimate.mode}, without a curve"
     if estimate and (estimate.velocity is None or estimate.covariance is None):
         return "an estimate with a curve needs its velocity and covariance as well"
-    if not 0 <= estimate.probability <= 1:
+    if not within(0, 1).fits(estimate.probability):
         return f"probability: {estimate.probability} is not allowed; it must be from 0 to 1"
-    if not np.isfinite(estimate.time):
+    if not (isinstance(estimate.time, Real) and math.isfinite(estimate.time)):
         return f"time: {estimate.time} is not allowed; it must be a number of seconds"
     if estimate.time > volume.time + MAX_STEP:
         return f"its estimate is {estimate.time - volume.time:.3g} s ahead of its volume"

@@ -12,6 +12,7 @@ from sonoservo.diagrams.app.interruption import INTERRUPTED
 from sonoservo.diagrams.app.options import (
     Curve,
     ExplainOption,
+    Listening,
     LiveLimits,
     LogOption,
     Page,
@@ -24,6 +25,7 @@ from sonoservo.diagrams.app.options import (
     WaitOption,
     console,
     free_folder,
+    refuse_for_files,
     refusing_values,
     say,
     say_notes,
@@ -102,7 +104,7 @@ def track_command(
 
     if live:
         reading.refuse_for_streams()
-        for option, given in (("--log", log), ("--explain", explain)):
+        for option, given in (("--log", log), ("--explain", explain), ("--real-time", real_time)):
             if given:
                 raise ConfigurationError(
                     f"{option}: not possible with live volumes; record them (sonoservo bridge), "
@@ -110,6 +112,8 @@ def track_command(
                 )
         _track_stream(source, tracker, chosen, reading, sending, limits, results, open_page)
     else:
+        reading.refuse_for_files()
+        refuse_for_files(sending, limits)
         _track_file(Path(source), tracker, chosen, reading, results, open_page, explain=explain,
                     real_time=real_time, log=log)  # fmt: skip
 
@@ -250,6 +254,8 @@ def bridge_command(
         )
     with refusing_values():
         if is_address(target):
+            reading.refuse_for_files()
+            refuse_for_files(limits)
             recording = open_volumes(Path(source), reading)
             _say_about(recording)
             with opened(target, say) as link:
@@ -307,6 +313,7 @@ def locate_command(
         parameters = NeedleLocalizerParameters().knowing(
             beam_width=curve.beam_width, echo_offset=curve.echo_offset
         )
+    reading.refuse_for_files()
     if not reading.reconstruct:  # times and poses do not matter for a single volume
         reading.poses = "none"
     opened = open_volumes(volume, reading, timed=False)
@@ -337,12 +344,7 @@ def check_command(
     ],
     reading: Reading,
     results: Results,
-    seconds: Annotated[
-        float, typer.Option(min=0.5, help="Live: time to listen after the first message, in s.")
-    ] = 5.0,
-    patience: Annotated[
-        float, typer.Option(help="Live: time to wait for the first message, in s.")
-    ] = 30.0,
+    listening: Listening,
 ) -> None:
     """Say what is in a file or a stream, and what is wrong with it; exit with 1 if something is.
 
@@ -358,8 +360,10 @@ def check_command(
         reading.refuse_for_streams()
         address = parse_address(source)
         name = address.file_name
-        checked = check_stream(address, reading, seconds=seconds, patience=patience, say=say)
+        checked = check_stream(address, reading, **vars(listening), say=say)
     else:
+        reading.refuse_for_files()
+        refuse_for_files(listening)
         name = Path(source).name
         with console.status("looking at the volumes"):
             checked = check_file(Path(source), reading)
@@ -387,6 +391,7 @@ def calibrate_command(
     from sonoservo.diagrams.app.volumes.calibrate import calibrate_recording, pose_error_figures
     from sonoservo.diagrams.app.volumes.opening import open_volumes
 
+    reading.refuse_for_files()
     opened = open_volumes(recording, reading)
     say_notes(*opened.notes)
     with volume_progress(console, "Calibrating", recording.name, len(opened)) as progress:

@@ -25,6 +25,7 @@ from sonoservo.systems.tracking.volume_plausibility import (
 )
 
 _FARTHEST = 5.0  # Distance of an array from the origin in m; a larger one is given in mm
+_THINNEST = 2e-3  # Smallest extent of a volume in m; one of the cells that it is cut into must fit
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,14 +83,12 @@ def locate(
     -------
     The needle in the array's coordinates, or a `NotFound` with the reason.
     """
-    levels, first = np.asarray(intensities), np.asarray(origin)
+    levels = np.asarray(intensities)
     require(not np.iscomplexobj(levels), "intensities", levels.dtype.name, "real numbers")
-    require(np.abs(first).max() <= 1, "origin", first.tolist(), "at most 1 m away, in m")
-    require(isinstance(seed, Integral) and seed >= 0, "seed", seed, "a whole number of at least 0")
     require_within("dynamic_range_db", dynamic_range_db, *DYNAMIC_RANGE_DB)
     volume = Volume(
         levels,
-        first,
+        np.asarray(origin),
         np.asarray(spacing),
         RigidTransform(),
         0.0,
@@ -112,6 +111,12 @@ def locate_in(
     require(order in (2, 3), "order", order, "2 or 3")
     whole = isinstance(seed, Integral) and seed >= 0
     require(whole, "seed", seed, "a whole number of at least 0")
+    thinnest = float((volume.spacing * volume.intensities.shape).min())
+    if thinnest < _THINNEST:
+        return NotFound(
+            f"a volume is refused: it is {1e3 * thinnest:.2g} mm thin; at least "
+            f"{1e3 * _THINNEST:g} mm along each axis is needed"
+        )
     if reason := implausible(volume, None, None, volume.time, 0.0, VolumePlausibilityParameters()):
         return NotFound(f"a volume is refused: {reason}")
     anywhere = NeedlePrediction(order, volume.time, everywhere=True)

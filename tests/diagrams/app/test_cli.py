@@ -89,6 +89,8 @@ def test_a_scenario_of_one_s_own_begins_as_a_copy(tmp_path):
         ),
         ("track a.mha", "a.mha: not a MetaImage file"),
         ("locate a.mha", "a.mha: not a MetaImage file"),
+        ("locate a.mha --json .", "--json: . is a folder"),
+        ("locate a.mha --json ./a.mha", "--json: a.mha is the volume itself"),
     ],
 )
 def test_a_mistake_is_one_line_and_exit_code_2_and_leaves_nothing(
@@ -123,6 +125,42 @@ def test_a_mistake_is_one_line_and_exit_code_2_and_leaves_nothing(
 )
 def test_a_mistake_on_the_command_line_says_what_is_allowed(arguments, message, capsys):
     assert run_arguments(arguments) == 2
+    assert message in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("options", "what"),
+    [
+        ("--motor nofile.yaml", "connections"),
+        ("--clock-offset 0", "connections"),
+        ("--volumes 2", "connections"),
+        ("--patience 1", "connections"),
+        ("--serve igtl://:0", "connections"),
+        ("--name tip=X", "connections"),
+        ("--points", "connections"),
+        ("--frames 5", "frames, with --reconstruct"),
+        ("--spacing 1", "frames, with --reconstruct"),
+    ],
+)
+def test_an_option_without_effect_on_a_file_is_refused(options, what, capsys):
+    assert run_arguments(["track", "a.mha", *options.split()]) == 2
+    assert f"{options.split()[0]}: it is for {what}" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ("locate a.mha --motor b.yaml", "--motor: it is for connections"),
+        ("check a.mha --seconds 2", "--seconds: it is for connections"),
+        ("calibrate a.mha --clock-offset 1", "--clock-offset: it is for connections"),
+        ("bridge a.mha igtl://:0 --volumes 2", "--volumes: it is for connections"),
+        ("bridge igtl://localhost:1 a.seq.nrrd --spacing 1", "--spacing: it is for frames"),
+        ("check igtl://localhost:1 --volume-rate 2", "--volume-rate: it is for files"),
+        ("track igtl://localhost:1 --real-time", "--real-time: not possible with live volumes"),
+    ],
+)
+def test_an_option_without_effect_is_refused_by_every_command(arguments, message, capsys):
+    assert run_arguments(arguments.split()) == 2
     assert message in capsys.readouterr().err
 
 

@@ -77,6 +77,9 @@ def interrupted():
         raise KeyboardInterrupt
     return track
 
+def ending():
+    raise SystemExit(4)
+
 def plain(volume):
     return 5
 """
@@ -161,6 +164,7 @@ def test_what_was_tracked_before_a_failure_is_kept(mine, tmp_path):
         ("ahead", "100 s ahead of its volume"),
         ("failing", "tracker of yours failed.*division by zero"),
         ("plain", "plain: it is called without arguments"),
+        ("ending", "ending: it is called without arguments.*: SystemExit: 4"),
     ],
 )
 def test_what_is_no_tracker_is_refused(mine, factory, message):
@@ -172,6 +176,9 @@ def test_what_is_no_tracker_is_refused(mine, factory, message):
     ("changed", "message"),
     [
         ({"time": np.nan}, "time: nan is not allowed"),
+        ({"time": None}, "time: None is not allowed"),
+        ({"probability": np.nan}, "probability: nan is not allowed"),
+        ({"probability": None}, "probability: None is not allowed"),
         ({"probability": 7.0}, r"probability: 7\.0 is not allowed.*from 0 to 1"),
         ({"mode": "found"}, "mode: 'found'; one of searching, tracking"),
         ({"mode": TrackingMode.SEARCHING}, "mode: searching, with a curve"),

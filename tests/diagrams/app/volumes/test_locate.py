@@ -71,15 +71,30 @@ def test_arrays_without_content_have_no_needle(content, shape):
     assert found.reason
 
 
+@pytest.mark.parametrize("shape", [(2, 2, 2), (2, 40, 40), (40, 2, 40), (40, 40, 2)])
+def test_a_thin_volume_is_refused(shape):
+    array = np.random.default_rng(0).integers(0, 255, shape)
+    assert "it is 0.4 mm thin; at least 2 mm" in locate(array, [2e-4] * 3).reason
+
+
 @pytest.mark.parametrize(
-    ("field", "value"),
-    [("intensities", 1j), ("origin", [-20, 5, -30]), ("seed", 1.5), ("dynamic_range_db", -1)],
+    ("changes", "message"),
+    [
+        ({"origin": (-20, 0, -30)}, r"origin\[0\]: -20.0 is .* within 5 m of 0; lengths are in m"),
+        ({"dynamic_range_db": 0.5}, "dynamic_range_db: 0.5 is not allowed; it must be from 1 to"),
+        ({"dynamic_range_db": 2000}, "dynamic_range_db: 2000 is not allowed; .* to 1000"),
+        (
+            {"intensities": np.ones((9, 9, 9), complex)},
+            "intensities: 'complex128' is .* must be real numbers",
+        ),
+        ({"order": 4}, "order: 4 is not allowed; it must be 2 or 3"),
+        ({"seed": -1}, "seed: -1 is not allowed; it must be a whole number of at least 0"),
+        ({"seed": 1.5}, "seed: 1.5 is not allowed; it must be a whole number"),
+    ],
 )
-def test_arguments_that_make_no_sense_are_named(field, value):
-    given = {"intensities": np.zeros((9, 9, 9)), "spacing": [1e-3] * 3}
-    value = np.full((9, 9, 9), value) if field == "intensities" else value
-    with pytest.raises(ValueError, match=field):
-        locate(**{**given, field: value})
+def test_wrong_arguments_are_refused(changes, message):
+    with pytest.raises(ValueError, match=message):
+        locate(**{"intensities": np.zeros((9, 9, 9)), "spacing": [1e-3] * 3} | changes)
 
 
 def test_a_volume_that_is_not_there(tmp_path, made):
