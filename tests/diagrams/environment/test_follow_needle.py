@@ -16,13 +16,13 @@ from sonoservo.diagrams.environment.follow_needle import ENVIRONMENT
 from sonoservo.diagrams.environment.reward import ActionScale, reward_terms
 from sonoservo.systems.files.refusals import ConfigurationError
 
-CHANGES = (
-    "hand.start=0.0",
-    "hand.pushes=[{duration: 2.0, speed: 0.04}, {duration: 10.0, speed: 0.0}]",
-    "station.plant.contact_model=point",
-    "scan_conversion.spacing=[3e-3, 3e-3, 3e-3]",
-    "imaging={frame_pitch_deg: 9.0, frames: 5, sector: 0.3, depth: 0.05}",
-)
+CHANGES = {
+    "hand.start": 0.0,
+    "hand.pushes": [{"duration": 2.0, "speed": 0.04}, {"duration": 10.0, "speed": 0.0}],
+    "station.plant.contact_model": "point",
+    "scan_conversion.spacing": [3e-3, 3e-3, 3e-3],
+    "imaging": {"frame_pitch_deg": 9.0, "frames": 5, "sector": 0.3, "depth": 0.05},
+}
 """A small and coarse image, since what is tested is not in it."""
 
 

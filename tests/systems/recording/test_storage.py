@@ -424,7 +424,7 @@ def test_unknown_fields_and_missing_geometry_are_said(tmp_path):
         assert text in notes
 
 
-def test_index_values_without_a_unit_of_time_are_said_to_be_no_times(tmp_path):
+def test_index_values_without_a_known_unit_of_time_are_no_times(tmp_path):
     head = "\n".join([
         "NRRD0004", "type: uchar", "dimension: 4", f"sizes: {' '.join(map(str, SHAPE))} 2",
         "encoding: raw", "kinds: domain domain domain list", "spacings: 1 1 1 nan",
@@ -433,6 +433,10 @@ def test_index_values_without_a_unit_of_time_are_said_to_be_no_times(tmp_path):
     (tmp_path / "a.nrrd").write_bytes(head.encode() + 2 * packed(GREY, "u1", "<"))
     assert "no unit of time" in " ".join(Recording(tmp_path / "a.nrrd", volume_rate=4).notes)
     with pytest.raises(ConfigurationError, match="--volume-rate.*no unit of time"):
+        Recording(tmp_path / "a.nrrd")
+    head = head.replace("nan", 'nan\nlabels: "" "" "" "time"\naxis 3 index units:=min')
+    (tmp_path / "a.nrrd").write_bytes(head.encode() + 2 * packed(GREY, "u1", "<"))
+    with pytest.raises(ConfigurationError, match="index units: 'min' is not.*use s, ms or us"):
         Recording(tmp_path / "a.nrrd")
 
 
