@@ -15,8 +15,8 @@ from sonoservo.systems.live.image_matcher import PosedImage
 from sonoservo.systems.recording.file_grid import FileGrid, make_file_grid
 from sonoservo.systems.recording.grey_levels import GreyLevels, void_flags
 from sonoservo.systems.signals.immutable import NotFound, seal
-from sonoservo.systems.signals.requirements import require_positive
-from sonoservo.systems.signals.sweep import DECIBELS_PER_LEVEL
+from sonoservo.systems.signals.requirements import require_within
+from sonoservo.systems.signals.sweep import DECIBELS_PER_LEVEL, DYNAMIC_RANGE_DB
 from sonoservo.systems.signals.volume import Volume
 
 _RIGHT_ANGLE = 1e-3
@@ -27,7 +27,7 @@ def grey_scale(dynamic_range_db: float | None) -> float:
     """Return dB per grey level of images that show so many dB in all; 60 by default."""
     if dynamic_range_db is None:
         return DECIBELS_PER_LEVEL
-    require_positive(dynamic_range_db=dynamic_range_db)
+    require_within("dynamic_range_db", dynamic_range_db, *DYNAMIC_RANGE_DB)
     return dynamic_range_db / 255
 
 

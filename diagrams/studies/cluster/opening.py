@@ -79,7 +79,7 @@ def open_cluster(
 @contextmanager
 def _scheduler(text: str) -> Iterator[object]:
     """Yield the address of a scheduler, or one of Dask's own clusters."""
-    if "://" in text:
+    if text.startswith(("tcp://", "tls://")):
         yield text
     elif text.startswith(_LOCAL):
         count = text.removeprefix(_LOCAL)

@@ -29,6 +29,7 @@ arguments:
         ("local:1", 0, "case limit: 0"),
         ("local:0", 60, "local:0: '0' is not allowed; it must be a number from 1 to 1024"),
         ("here", 60, "'here' is not allowed; it must be tcp://HOST:PORT, local:N or FILE.yaml"),
+        ("ssh://", 60, "'ssh://' is not allowed; it must be tcp://HOST:PORT"),
         ("missing.yaml", 60, "missing.yaml: cannot be read"),
     ],
 )
