@@ -138,10 +138,10 @@ def stops_text(summary: Mapping[str, Any]) -> str:
     lines = []
     reasons, at_end = (look_up(summary, f"guard.{key}") for key in ("reasons", "stopped_at_end"))
     if reasons:
-        lines.append(f"stopped because {reasons}")
+        lines.append(f"stopped {'' if at_end else 'for a while '}because {reasons}")
     if at_end:
         lines.append(f"still stopped at the end because {at_end}")
     lines += filter(None, (look_up(summary, f"guard.{key}") for key in ("noticed", "refusal")))
     if reasons := look_up(summary, "tracking.reasons"):
-        lines.append(f"volumes without a needle: {reasons_text(reasons)}")
+        lines.append(f"Volumes without a needle: {reasons_text(reasons)}")
     return "\n".join(lines)
