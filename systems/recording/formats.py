@@ -86,8 +86,8 @@ def _suffix(path: Path) -> str:
 
 def _open_folder(path: Path, *, frames: bool) -> VolumeFile:
     visible = [each for each in path.iterdir() if not each.name.startswith(".")]
-    if any(_suffix(each) == ".png" for each in visible):
-        return open_png_folder(path, frames=frames)
+    if images := [each for each in visible if _suffix(each) == ".png"]:
+        return open_png_folder(path, images, frames=frames)
     files = [] if frames else [each for each in visible if _suffix(each) in FORMATS]
     if not files:
         held = "PNG images" if frames else f"volumes ({', '.join(FORMATS)})"

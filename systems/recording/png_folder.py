@@ -1,5 +1,6 @@
 """Reader of a folder of PNG images with a table of their poses."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,13 +18,10 @@ TABLE = "poses.csv"
 """Name of the table, if a folder holds several."""
 
 
-def open_png_folder(path: Path, *, frames: bool = False) -> VolumeFile:
-    """Open a folder of PNG images in the order of their names, 9 before 10, with a pose table."""
+def open_png_folder(path: Path, files: Sequence[Path], *, frames: bool = False) -> VolumeFile:
+    """Open PNG images of a folder in the order of their names, 9 before 10, with a pose table."""
     image = require_extra("PIL.Image", "images", path)
-    shown = (each for each in path.iterdir() if not each.name.startswith("."))
-    files = natural_order(each for each in shown if each.suffix.lower() == ".png")
-    if not files:
-        raise ConfigurationError(f"{path}: it is a folder without PNG images")
+    files = natural_order(files)
     require_frames(path, frames, f"{len(files)} PNG images")
     tables = sorted(path.glob("*.csv"))
     table = path / TABLE if path / TABLE in tables or len(tables) != 1 else tables[0]

@@ -60,14 +60,17 @@ def open_volume_folder(
             if name.startswith(_ONLY):
                 fields[name.replace(_ONLY, f"Seq_Frame{number:04d}_")] = value
         times.append(np.nan if each.times is None else float(each.times[0]))
-    kind = first.read(0).dtype.name
+    types: dict[str, Path] = {}  # of voxels, each with the first file read that has it
 
     def read(number: int) -> NDArray[Any]:
         voxels = volumes[number].read(0)
-        if voxels.dtype.name != kind:
+        here = voxels.dtype.name
+        types.setdefault(here, files[number])
+        kind, example = next(iter(types.items()))
+        if here != kind:
             raise ConfigurationError(
-                f"{files[number]}: its voxels are of the type {voxels.dtype.name}, and those of "
-                f"{first.path} of {kind}; all must agree"
+                f"{files[number]}: its voxels are of the type {here}, and those of {example} of "
+                f"{kind}; all must agree"
             )
         return voxels
 
