@@ -70,10 +70,7 @@ def as_system(tracker: OwnTracker, *, period: float, offset: float = 0.0) -> Sys
             tracker,
             "it is called without arguments, to return a function of a Volume or a Drake system",
         ):
-            try:
-                step = start_tracker(resolve_entrant(_importable(tracker), {}), seed=0)
-            except SystemExit as error:  # it is no Exception
-                raise RuntimeError(f"SystemExit: {describe(error)}") from error
+            step = start_tracker(resolve_entrant(_importable(tracker), {}), seed=0)
         name = tracker
         module, _, function = tracker.partition(":")
     elif isinstance(tracker, System | type) or not callable(tracker):

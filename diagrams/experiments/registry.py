@@ -88,7 +88,8 @@ def load_scenario(
     Parameters
     ----------
     scenario
-        Name of a built-in scenario, path of a YAML file, its data, or a scenario to change.
+        Name of a built-in scenario, path of a YAML file, its data, or a scenario to change. Files
+        that a YAML file names are looked for beside it first.
     changes
         Fields to change: values by dotted path, ``{"imaging.gain": 0.5}``, or assignments
         ``"path.to.field=value"`` with the value in YAML.
@@ -131,6 +132,7 @@ def load_scenario(
     if path.suffix not in (".yaml", ".yml"):
         raise ConfigurationError(f"unknown scenario {str(scenario)!r}; {suggest(path.name, known)}")
     data: dict[str, Any] = {"name": path.stem, **read_yaml(path)}
+    _look_beside(data, path.parent)
     kind = data.get("needle")
     _change(data, changes, seed)
     if data.get("needle") == kind:
@@ -141,6 +143,15 @@ def load_scenario(
         published = _schema(data, scenario).as_published(data)
         data = {**published, "name": f"{data['name']}_as_published"}
     return load_typed(_schema(data, scenario), data, str(scenario))
+
+
+def _look_beside(data: Mapping[str, Any], folder: Path) -> None:
+    """Let the files that a scenario's data name count from its own folder, if they lie there."""
+    for part in (data, data.get("station")):
+        for name in ("phantom", "probe", "needle", "arm") if isinstance(part, dict) else ():
+            file = part.get(name)
+            if isinstance(file, str) and Path(file).suffix and (folder / file).is_file():
+                part[name] = str(folder / file)
 
 
 def _with_other_needle(

@@ -322,7 +322,9 @@ def missing_needle(log: RunLog) -> tuple[str, Sequence[Remedy]]:
     visible = at_times(log, log.visible_length, log.volume_time)
     seen = np.nan_to_num(visible) > _IN_VIEW
     if np.isfinite(visible).any() and not seen.any():
-        return f"The needle never came into view.{last}", [_UNSEEN]
+        stopped = _seconds(log.guard_reason != "", log.time)
+        held = f" The guard had stopped the robot for {stopped:.1f} s." if stopped else ""
+        return f"The needle never came into view.{held}{last}", [_UNSEEN]
     shown = [reason for reason, each in zip(reasons, seen, strict=True) if each] or reasons
     # The first volumes have nothing to be compared with, whatever else is wrong.
     early = SearchReason.NOTHING_EARLIER

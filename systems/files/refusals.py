@@ -56,9 +56,10 @@ def refusing_failures(source: object, what: str = "") -> Iterator[None]:
         yield
     except ConfigurationError:
         raise
-    except Exception as error:
+    except (Exception, SystemExit) as error:  # data may be code, and code may call sys.exit
         prefix = f"{source}: {what}: " if what else f"{source}: "
-        raise ConfigurationError(f"{prefix}{describe(error)}") from error
+        name = "" if isinstance(error, Exception) else f"{type(error).__name__}: "
+        raise ConfigurationError(f"{prefix}{name}{describe(error)}") from error
 
 
 def require_extra(module: str, extra: str, source: object) -> ModuleType:

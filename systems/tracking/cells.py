@@ -118,15 +118,17 @@ def cells_of(volume: Volume) -> Cells:
 def _shift_equations(  # pragma: no cover - compiled
     now: Any, now_seen: Any, before: Any, before_seen: Any, M: Any, offset: Any, same: Any
 ) -> Any:
-    """Return the normal equations of the shift of an image, and how alike the two are there.
+    """Return the normal equations of the shift of an image, and what the two have in common there.
 
+    That is the products of their gradients, their correlation, and the variance of the levels now.
     ``M`` and ``offset`` take indices of the cells now to those before that show the same tissue,
     and ``same`` (2, 3) factors and offsets to those at the same place in the image. A cell belongs
     to either. Every second cell counts.
     """
     nx, ny, nz = before.shape
-    H, g, gradient = np.zeros((3, 3)), np.zeros(3), np.zeros(3)
-    unlike, count = 0.0, 0
+    H, g, common, back = np.zeros((3, 3)), np.zeros(3), np.zeros((3, 3)), np.linalg.inv(M)
+    gradient, own = np.zeros(3), np.zeros(3)
+    count = 0
     both, here, there = 0.0, 1e-6, 1e-6
     for i in range(1, now.shape[0] - 1, 2):
         for j in range(1, now.shape[1] - 1, 2):
@@ -138,16 +140,21 @@ def _shift_equations(  # pragma: no cover - compiled
                 z = M[2, 0] * i + M[2, 1] * j + M[2, 2] * k + offset[2]
                 if not (1 <= x <= nx - 2 and 1 <= y <= ny - 2 and 1 <= z <= nz - 2):
                     continue
-                if not before_seen[int(x + 0.5), int(y + 0.5), int(z + 0.5)]:
+                p, q, r = int(x + 0.5), int(y + 0.5), int(z + 0.5)
+                if not before_seen[p, q, r]:
                     continue
                 level = trilinear(before, x, y, z)
                 both += level * now[i, j, k]
                 here += now[i, j, k] ** 2
-                there += level**2
+                # Interpolation averages speckle, so between cells any image would be more alike.
+                there += before[p, q, r] ** 2
                 error = now[i, j, k] - level
                 gradient[0] = trilinear(before, x + 1, y, z) - trilinear(before, x - 1, y, z)
                 gradient[1] = trilinear(before, x, y + 1, z) - trilinear(before, x, y - 1, z)
                 gradient[2] = trilinear(before, x, y, z + 1) - trilinear(before, x, y, z - 1)
+                own[0] = now[i + 1, j, k] - now[i - 1, j, k]
+                own[1] = now[i, j + 1, k] - now[i, j - 1, k]
+                own[2] = now[i, j, k + 1] - now[i, j, k - 1]
                 rides = 0.0
                 x = same[0, 0] * i + same[1, 0]
                 y = same[0, 1] * j + same[1, 1]
@@ -159,22 +166,28 @@ def _shift_equations(  # pragma: no cover - compiled
                 weight = rests**2 / (rests + rides)
                 for a in range(3):
                     g[a] += 0.5 * weight * gradient[a] * error
+                    turned = 0.0
                     for b in range(3):
                         H[a, b] += 0.25 * weight * gradient[a] * gradient[b]
-                unlike -= math.log(rests + rides)
+                        turned += back[b, a] * own[b]
+                    for b in range(3):
+                        common[a, b] += 0.25 * weight * turned * gradient[b]
                 count += 1
-    return H, g, unlike, count, both / math.sqrt(here * there), here / max(count, 1)
+    return H, g, common, both / math.sqrt(here * there), here / max(count, 1), count
 
 
-def _told(alike: float, variance: float, count: int, tried: int) -> float:
-    """Return what a squared gradient tells about a shift, by the correlation of two images there.
+def _told(common: Floats, alike: float, variance: float, count: int, tried: int) -> Floats:
+    """Return the (3, 3) information about a shift, by what two images have in common there.
 
+    Only the gradients that both have tell about it: those of other speckle do not (``common``).
     Images are Gaussian with a ``variance``; ``count`` cells are compared at each of the shifts
     ``tried``, of which the best one is alike by chance if the images have nothing in common.
     """
-    squared = min(max(alike, 0.0) ** 2, 1 - 1e-3)
-    chance = tried * math.exp(-0.5 * count * squared)
-    return squared / ((1 - squared) * variance * (1 + chance))
+    alike = min(max(alike, 0.0), 1 - 1e-3)
+    chance = tried * math.exp(-0.5 * count * alike**2)
+    lengths, axes = np.linalg.eigh(0.5 * (common + common.T))
+    shared = (axes * np.maximum(lengths, 0.0)) @ axes.T
+    return np.asarray(alike * shared / ((1 - alike**2) * variance * (1 + chance)))
 
 
 def tissue_shift(
@@ -183,7 +196,7 @@ def tissue_shift(
     """Return the (3,) shift of the tissue in m, in P before, and (3, 3) information about it.
 
     What lies at p now lay at ``X_BN`` p + shift. Of the results from all ``starts``, the one with
-    the smallest difference counts (Lucas and Kanade 1981, with the weights of a Cauchy
+    the largest correlation counts (Lucas and Kanade 1981, with the weights of a Cauchy
     distribution).
     """
     # Breath, a late pose and a wrong calibration shift all tissue alike. Reverberation and the
@@ -191,21 +204,22 @@ def tissue_shift(
     M = X_BN[:3, :3] * now.edges / before.edges[:, np.newaxis]
     offset = (X_BN[:3, :3] @ now.origin + X_BN[:3, 3] - before.origin) / before.edges
     same = np.stack([now.edges / before.edges, (now.origin - before.origin) / before.edges])
-    best, information, least = np.zeros(3), np.zeros((3, 3)), np.inf
+    best, information, most_alike = np.zeros(3), np.zeros((3, 3)), -1.0
     for start in starts:
         shift = start / before.edges
         for _ in range(_STEPS):
-            H, g, unlike, count, alike, variance = _shift_equations(
+            H, g, common, alike, variance, count = _shift_equations(
                 now.levels, now.lit, before.levels, before.lit, M, offset + shift, same
             )
             if count < 200 or not np.trace(H) > 0:
                 break
-            if unlike / count < least:
-                best, least = shift * before.edges, unlike / count
-                told = _told(alike, variance, count, len(starts))
-                information = told * H / np.outer(before.edges, before.edges)
             step = np.clip(np.linalg.solve(H + 1e-3 * np.trace(H) * np.eye(3), g), -1, 1)
-            shift = shift + step
-            if np.abs(step).max() < _CONVERGED:
-                break
+            if np.abs(step).max() >= _CONVERGED:
+                shift = shift + step
+                continue
+            if alike > most_alike:
+                best, most_alike = shift * before.edges, alike
+                told = _told(common, alike, variance, count, len(starts))
+                information = told / np.outer(before.edges, before.edges)
+            break
     return best, information

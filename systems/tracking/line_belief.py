@@ -41,6 +41,7 @@ from sonoservo.systems.tracking.line_contrast import (
 )
 from sonoservo.systems.tracking.line_fit import FittedLine, brightness, fitted_lines
 from sonoservo.systems.tracking.needle_line import log_odds
+from sonoservo.systems.tracking.tissue_motion import TissueMotion
 
 Floats = NDArray[np.float64]
 
@@ -214,6 +215,8 @@ class LineBelief(Immutable):
 
     memory: tuple[Remembered, ...] = ()
     """Last volumes, oldest first."""
+    motion: TissueMotion = field(default_factory=TissueMotion)
+    """Joint belief about how the tissue has moved at their times."""
     lines: Lines = field(default_factory=lambda: _NONE)
     appearing: tuple[float, ...] = (-50.0,)
     """Log prior that a line appeared, by time of arrival; the first time stands for "always"."""
@@ -264,9 +267,9 @@ def follow(belief: LineBelief, volume: Volume, *, look: bool = False) -> LineBel
     if not look and belief.memory and volume.time < belief.time + _PACE:
         return belief
     cells = cells_of(volume)
-    seen = begin(lambda: _seen_again(belief, _remember(volume, cells, belief.memory)))
+    seen = begin(lambda: _seen_again(belief, volume, cells))
     fits = fitted_lines(volume, cells)
-    lines, memory, appearing = seen()
+    lines, memory, motion, appearing = seen()
     born = belief.born
     needle = _needle_prior(belief.births)
     prior = np.log(np.r_[needle / 2, needle / 2, (1 - needle) * _OTHERS])
@@ -296,20 +299,21 @@ def follow(belief: LineBelief, volume: Volume, *, look: bool = False) -> LineBel
         past = np.concatenate([lines.past[:, :-1], now[:, np.newaxis]], axis=1)
         lines = replace(lines, classes=classes, passed=passed, past=past)
         lines = _judged(lines, memory[-1], fits, look)
-    return LineBelief(memory, lines, appearing, born, births, volume.time)
+    return LineBelief(memory, motion, lines, appearing, born, births, volume.time)
 
 
 def _seen_again(
-    belief: LineBelief, newest: Remembered
-) -> tuple[Lines, tuple[Remembered, ...], tuple[float, ...]]:
-    """Return the lines after what a later volume shows of them, the memory and the `appearing`."""
+    belief: LineBelief, volume: Volume, cells: Cells
+) -> tuple[Lines, tuple[Remembered, ...], TissueMotion, tuple[float, ...]]:
+    """Return what a later volume makes of the lines, the memory, the motion and `appearing`."""
+    (*before, newest), motion = _remember(volume, cells, belief.memory, belief.motion)
     shown = _shown_at(belief.lines, newest)
     newest = replace(
         newest,
         change=change_between(shown.along, belief.lines.levels),
         image_change=change_between(shown.riding, belief.lines.image_levels),
     )
-    lines, memory, appearing = belief.lines, (*belief.memory, newest), np.array(belief.appearing)
+    lines, memory, appearing = belief.lines, (*before, newest), np.array(belief.appearing)
     logs = lines.logs
     if len(memory) > 1:
         appearing = np.append(appearing, np.log(_APPEARS * newest.change.renewed))
@@ -317,14 +321,14 @@ def _seen_again(
     number = 0
     if len(memory) > _REMEMBERED:
         number = _forgotten(memory)
-        memory = _without(memory, number)
+        memory, motion = _without(memory, number), motion.without(number)
         # A bin came with either as probably, and a line that appears with the one or the other.
         logs = _merged(logs, number, axis=1, share=0.5)
         appearing = _merged(appearing, number, axis=0, share=1.0)
     past = np.delete(lines.past, number, axis=1)
     past = np.concatenate([past, np.zeros((len(lines), 1, 5))], axis=1)
     lines = replace(lines, logs=logs, past=past)
-    return _look_on(lines, shown, newest), memory, tuple(appearing.tolist())
+    return _look_on(lines, shown, newest), memory, motion, tuple(appearing.tolist())
 
 
 def _forgotten(memory: Sequence[Remembered]) -> int:
@@ -371,32 +375,33 @@ def _passing(lines: Lines, memory: Sequence[Remembered]) -> Floats:
     return np.asarray(np.einsum("tni,ni->nt", steps, lines.directions) / BIN)
 
 
-def _remember(volume: Volume, cells: Cells, memory: Sequence[Remembered]) -> Remembered:
-    """Return a volume with the displacement of its tissue, compared with several before it."""
+def _remember(
+    volume: Volume, cells: Cells, memory: tuple[Remembered, ...], motion: TissueMotion
+) -> tuple[tuple[Remembered, ...], TissueMotion]:
+    """Return the memory with one more volume, and the motion of tissue that all of it shows."""
     if not memory:
-        return Remembered(volume, cells, np.zeros(3), np.zeros(3))
+        return (Remembered(volume, cells, np.zeros(3), np.zeros(3)),), TissueMotion()
     last = memory[-1].displacement
     before = memory[-2].displacement if len(memory) > 1 else last
     guesses = [2 * last - before, *(last + _SHIFT * np.outer([0, -1, 1], [0, 0, 1]))]
     # Where no volume tells, the tissue lies near where it lay last, and near where it rests.
-    known = 2 * np.eye(3) / _SHIFT**2
-    weighted = known @ (0.5 * last)
-    for lag in range(1, len(memory) + 1):
-        if lag in _LAGS:
+    near = np.eye(3) / _SHIFT**2
+    compared = [(len(memory) - 1, np.zeros(3), near)]
+    for lag in _LAGS:
+        if lag <= len(memory):
             each = memory[-lag]
             R = each.volume.X_WP.rotation().matrix()
             X = each.volume.X_WP.inverse().multiply(volume.X_WP).GetAsMatrix4()
             starts = [R.T @ (each.displacement - guess) for guess in guesses]
             shift, information = tissue_shift(cells, each.cells, X, starts)
-            found, information = each.displacement - R @ shift, R @ information @ R.T
-            known += information
-            weighted += information @ found
+            compared.append((len(memory) - lag, -R @ shift, R @ information @ R.T))
             if lag == 1:
-                guesses = [found]
-    displacement = np.asarray(np.linalg.solve(known, weighted), np.float64)
-    return Remembered(
-        volume, cells, displacement, (displacement - last) / (volume.time - memory[-1].volume.time)
-    )
+                guesses = [last - R @ shift]
+    motion = motion.with_volume(near, compared)
+    *others, displacement = motion.means
+    moved = [replace(each, displacement=now) for each, now in zip(memory, others, strict=True)]
+    velocity = (displacement - others[-1]) / (volume.time - memory[-1].volume.time)
+    return (*moved, Remembered(volume, cells, displacement, velocity)), motion
 
 
 class _Shown(NamedTuple):

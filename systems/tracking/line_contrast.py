@@ -316,23 +316,24 @@ def _repeats(squares: Floats) -> Floats:
 def change_between(now: LineLevels, before: NDArray[Any]) -> Change:
     """Return how levels have changed, by expectation and maximisation; arguments of `repeat_ratio`.
 
-    It starts from one bin that is drawn anew, one that is not, and one that differs by 1 dB.
+    It starts from one bin of a line and one of nothing that are drawn anew, and one that is not and
+    differs by 1 dB.
     """
     steps = np.asarray(now.levels - before, np.float64)
     both = np.isfinite(steps)
     if not both.any():
         return ALL_NEW
-    contrasts, squares = now.contrasts[both], steps[both] ** 2
-    anew = 0.5 * _line_and_nothing(contrasts).sum(axis=0)
-    renewed, variance = 0.5, float(np.median(squares)) + 1 / len(squares)
+    densities, squares = _line_and_nothing(now.contrasts[both]), steps[both] ** 2
+    shares, variance = np.full(3, 1 / 3), float(np.median(squares)) + 1 / len(squares)
     for _ in range(_ROUNDS):
-        same = (1 - renewed) * _repeats(squares / variance) / math.sqrt(variance)
-        repeats = 1 - renewed * anew / (renewed * anew + same)
-        total = float(repeats.sum())
-        renewed = (1 + len(squares) - total) / (2 + len(squares))
-        weights = repeats * (_TAIL + 1) / (_TAIL + squares / variance)
-        variance = (1 + float(weights @ squares)) / (1 + total)
-    return Change(renewed, math.sqrt(variance))
+        same = _repeats(squares / variance) / math.sqrt(variance)
+        parts = shares[:, np.newaxis] * [*densities, same]
+        parts /= parts.sum(axis=0)
+        totals = 1 + parts.sum(axis=1)
+        shares = totals / totals.sum()
+        weights = parts[2] * (_TAIL + 1) / (_TAIL + squares / variance)
+        variance = (1 + float(weights @ squares)) / float(totals[2])
+    return Change(1 - float(shares[2]), math.sqrt(variance))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

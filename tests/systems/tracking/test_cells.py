@@ -65,10 +65,12 @@ def test_unlike_images_tell_nothing_about_a_shift(away):
     before, known = cells(noise=4.0), []
     for place in (away, 0.0):
         now = cells(RigidTransform([0, 0, place]), noise=4.0, seed=1)
-        _, information = tissue_shift(now, before, np.eye(4), STARTS)
+        shift, information = tissue_shift(now, before, np.eye(4), STARTS)
         known.append(np.linalg.eigvalsh(information))
     assert (known[0] < 1 / 3e-3**2).all()
-    assert (known[1] > 1 / 0.3e-3**2).all()
+    assert (known[1] > 1 / 0.4e-3**2).all()
+    # Half of what these show is speckle of their own, which is smaller between the cells.
+    np.testing.assert_allclose(shift, 0, atol=0.3e-3)
 
 
 def test_cells_are_the_means_of_what_was_seen_above_their_surroundings():
