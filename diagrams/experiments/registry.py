@@ -145,11 +145,12 @@ def load_scenario(
     return load_typed(_schema(data, scenario), data, str(scenario))
 
 
-def _look_beside(data: Mapping[str, Any], folder: Path) -> None:
+def _look_beside(data: dict[str, Any], folder: Path) -> None:
     """Let the files that a scenario's data name count from its own folder, if they lie there."""
-    for part in (data, data.get("station")):
-        for name in ("phantom", "probe", "needle", "arm") if isinstance(part, dict) else ():
-            file = part.get(name)
+    station = data.get("station")
+    for part in [data, station] if isinstance(station, dict) else [data]:
+        for name in part.keys() & {"phantom", "probe", "needle", "arm"}:
+            file = part[name]
             if isinstance(file, str) and Path(file).suffix and (folder / file).is_file():
                 part[name] = str(folder / file)
 

@@ -53,6 +53,17 @@ def test_a_scenario_with_parts_of_ones_own_reads_back_from_another_folder(tmp_pa
     assert read.needle == load_scenario("chatelain2013_fig5").needle
 
 
+def test_files_lie_beside_the_scenario_that_names_them(tmp_path):
+    for folder, name in (("probes", "4dc7_3_40"), ("robots", "ur5e"), ("phantoms", "agar")):
+        (tmp_path / f"my_{name}.yaml").write_text(model_path(f"{folder}/{name}.yaml").read_text())
+    (tmp_path / "mine.yaml").write_text(
+        "probe: my_4dc7_3_40.yaml\nphantom: my_agar.yaml\nstation: {arm: my_ur5e.yaml}\n"
+    )
+    read = load_scenario(tmp_path / "mine.yaml")
+    named = (read.probe, read.station.arm, read.phantom)
+    assert [Path(each).parent for each in named] == 3 * [tmp_path]
+
+
 def test_the_tracker_is_chosen_by_name(tmp_path):
     changes = ["tracker=zhao2012", "tracker.velocimeter=speckle"]
     changes += ["tracker.velocimeter.min_correlation=0.4"]

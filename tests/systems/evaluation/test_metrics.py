@@ -272,6 +272,13 @@ def test_a_needle_that_could_not_be_seen_is_said_to_be_so(truth, beginning, fiel
     assert told(run, Reader.RECORDING)[1].startswith(recorded)
 
 
+def test_a_needle_out_of_view_of_a_robot_that_was_stopped_is_not_blamed_alone():
+    run = log([NONE, STILL, STILL, STILL], visible=0.0)
+    reasons = np.where((run.time >= 1) & (run.time < 2.5), "the force was too large", "")
+    reason, _ = told(replace(run, guard_reason=reasons))
+    assert "came into view. The guard had stopped the robot for 1.5 s. Nothing" in reason
+
+
 def test_a_run_too_short_for_a_volume_says_so():
     assert told(build_log(0, 0)) == (
         "No volume was acquired.",

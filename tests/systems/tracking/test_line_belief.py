@@ -34,23 +34,27 @@ def pushed(time):
 
 
 @lru_cache
-def volumes(needle, moving, slower=1, ahead=0.0):
+def volumes(needle, moving, slower=1, ahead=0.0, fresh=False):
     """Speckle and a wire that rest in W, and a needle; the probe rests, or moves against X.
 
     The needle may be pushed slower by a factor, in as many more volumes, and something of an
-    amplitude may rest ahead of it on its own line.
+    amplitude may rest ahead of it on its own line. Fresh speckle is drawn anew for each volume.
     """
     rng = np.random.default_rng(5)
     sigma = np.array([1.9e-3, 0.45e-3, 2.3e-3]) / 2.355 / SPACING
     shape = (SHAPE[0] + COUNT, *SHAPE[1:])
-    parts = [gaussian_filter(rng.normal(size=shape), sigma) for _ in range(2)]
     p_W = SPACING * np.moveaxis(np.indices(shape), 0, -1)
-    tissue = (parts[0] + 1j * parts[1]) / np.hypot(parts[0].std(), parts[1].std())
-    tissue = tissue + line(p_W, *WIRE, lambda s: 8.0)
-    tissue = tissue + line(p_W, START + 0.076 * K, START + 0.09 * K, lambda s: ahead)
+
+    def speckle():
+        parts = [gaussian_filter(rng.normal(size=shape), sigma) for _ in range(2)]
+        return (parts[0] + 1j * parts[1]) / np.hypot(parts[0].std(), parts[1].std())
+
+    tissue, wire = speckle(), line(p_W, *WIRE, lambda s: 8.0)
+    wire = wire + line(p_W, START + 0.076 * K, START + 0.09 * K, lambda s: ahead)
     images = []
     for n in range(COUNT * slower):
-        amplitude = tissue + 0.02 * rng.normal(size=shape)
+        tissue = speckle() if fresh else tissue
+        amplitude = tissue + wire + 0.02 * rng.normal(size=shape)
         if needle:
             amplitude = amplitude + line(p_W, *pushed(PERIOD * n / slower), lambda s: 8.0)
         grey = np.clip((20 * np.log10(np.abs(amplitude) + 1e-6) + 14) * 255 / 60, 1, 255)
@@ -102,6 +106,16 @@ def test_a_needle_that_is_pushed_slowly_is_found():
     best = int(lines.probabilities.argmax())
     assert lines.probabilities[best] > 0.95
     assert along(lines, *pushed(lines.time / slower))[best]
+
+
+def test_a_needle_is_found_in_speckle_that_is_drawn_anew_with_each_volume():
+    """Nothing repeats itself but the wire, and the tissue seems to move by chance only."""
+    belief = followed(volumes(True, False, fresh=True))
+    lines = belief.hypotheses
+    best = int(lines.probabilities.argmax())
+    assert lines.probabilities[best] > 0.95
+    assert along(lines, *pushed(lines.time))[best]
+    assert np.linalg.norm(belief.memory[-1].displacement) < 1e-3
 
 
 @pytest.mark.parametrize("moving", [False, True])
