@@ -38,6 +38,7 @@ _LEAST_MM, _SMOOTH = 0.5, 6.0
 """Way in mm that no one moves a probe on purpose, and its ratio to a median step from which it is
 a motion: the noise of a tracker at rest spreads over some four steps."""
 
+_FARTHEST_M = 10.0  # farther than any tracker or robot reaches
 _LEVER_MM = 1.0  # no tracked tool turns about a point that is nearer to it
 _TOOLS = ("Probe", "Image")  # beginnings of the names of transforms from what a hand moves
 _INVERTED, _WIDE_MM = 4.0, 50.0
@@ -410,7 +411,7 @@ def check_motion(name: str, matrices: ArrayLike, times: ArrayLike) -> list[Findi
         return [*findings, _fine(Check.MOTION, text)]
     if spread < _LEVER_MM * np.radians(turned):
         findings.append(_Fault.UNMOVED(name=name, spread=spread, turned=turned))
-    elif spread < _LEAST_MM and spread > _SMOOTH * _usual_step(p):
+    elif _SMOOTH * _usual_step(p) < spread < _LEAST_MM and np.abs(p).max() < _FARTHEST_M:
         findings.append(_Fault.SMALL_WAY(name=name, spread=spread))
     elif name.startswith(_TOOLS) and spread > max(_INVERTED * inverse, _WIDE_MM):
         findings.append(_Fault.INVERTED(name=name, spread=spread, inverse=inverse))

@@ -321,6 +321,8 @@ def test_poses_in_metres_and_inverted_calibrations_are_told():
     slid = np.tile(np.eye(4), (200, 1, 1))
     slid[:, 0, 3] = np.linspace(0, 0.04, 200)
     assert "moves smoothly" in str(check_motion("ProbeToTracker", slid, np.arange(200.0))[-1])
+    slid[:, 1, 3] = 500.0  # as a robot's that holds it on a body, whose positions are not in m
+    assert worst(check_motion("ProbeToTracker", slid, np.arange(200.0))) is None
     slid[:, :3, 3] = 0.1 * np.random.default_rng(3).normal(size=(200, 3))  # held
     assert worst(check_motion("ProbeToTracker", slid, np.arange(200.0))) is None
     assert check_pixels("the frames", [0.7, 0.2]).grade is Grade.FINE
