@@ -197,7 +197,8 @@ def tissue_shift(
 
     What lies at p now lay at ``X_BN`` p + shift. Of the results from all ``starts``, the one with
     the largest correlation counts (Lucas and Kanade 1981, with the weights of a Cauchy
-    distribution).
+    distribution). A search that does not converge tells nothing; if none does, the shift is zero
+    without any information.
     """
     # Breath, a late pose and a wrong calibration shift all tissue alike. Reverberation and the
     # borders of shadows ride along with the probe.

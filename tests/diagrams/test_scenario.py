@@ -39,10 +39,15 @@ def test_a_file_of_ones_own_and_the_whole_of_it_read_back(tmp_path):
     assert set(yaml.safe_load(scenario.to_yaml())) == set(FollowingScenario.__dataclass_fields__)
 
 
+def copy_models(target, prefix=""):
+    for folder, name in (("probes", "4dc7_3_40"), ("robots", "ur5e"), ("phantoms", "agar")):
+        text = model_path(f"{folder}/{name}.yaml").read_text()
+        (target / f"{prefix}{name}.yaml").write_text(text)
+
+
 def test_a_scenario_with_parts_of_ones_own_reads_back_from_another_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    for folder, name in (("probes", "4dc7_3_40"), ("robots", "ur5e"), ("phantoms", "agar")):
-        (tmp_path / f"{name}.yaml").write_text(model_path(f"{folder}/{name}.yaml").read_text())
+    copy_models(tmp_path)
     changes = ["probe=4dc7_3_40.yaml", "station.arm=ur5e.yaml", "phantom=./agar.yaml"]
     text = load_scenario("chatelain2013_fig5", changes=changes).to_yaml()
     (tmp_path / "elsewhere").mkdir()
@@ -54,8 +59,7 @@ def test_a_scenario_with_parts_of_ones_own_reads_back_from_another_folder(tmp_pa
 
 
 def test_files_lie_beside_the_scenario_that_names_them(tmp_path):
-    for folder, name in (("probes", "4dc7_3_40"), ("robots", "ur5e"), ("phantoms", "agar")):
-        (tmp_path / f"my_{name}.yaml").write_text(model_path(f"{folder}/{name}.yaml").read_text())
+    copy_models(tmp_path, "my_")
     (tmp_path / "mine.yaml").write_text(
         "probe: my_4dc7_3_40.yaml\nphantom: my_agar.yaml\nstation: {arm: my_ur5e.yaml}\n"
     )
