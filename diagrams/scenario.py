@@ -6,7 +6,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from sonoservo.systems.files.model_file import lasting_name
+from sonoservo.systems.files.model_file import NAMING, lasting_name
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.typed_yaml import dump_typed
 from sonoservo.systems.signals.requirements import check_bounds, require
@@ -70,8 +70,8 @@ class Scenario:
     def to_yaml(self) -> str:
         """Return all fields as YAML that `load_scenario` reads, from whichever folder."""
         data = {each.name: getattr(self, each.name) for each in fields(self)}
-        for part in data.keys() & {"phantom", "probe", "needle"}:
-            data[part] = lasting_name(data[part])
+        for name in data.keys() & NAMING:
+            data[name] = lasting_name(data[name])
         if station := data.get("station"):
             data["station"] = replace(station, arm=lasting_name(station.arm))
         return dump_typed(data)

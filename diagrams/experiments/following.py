@@ -45,6 +45,11 @@ if TYPE_CHECKING:
 _OBSERVERS = ("scanner", "run_logger", "world_view", "console_feed", "volume_recorder")
 """Systems that see the truth, apart from the station and the sources that produce it."""
 
+_WRIST_ALONE = (
+    "the arm reports no torques (torque_error), so nothing but the wrist's sensor tells the force"
+)
+"""Remark on a guard that has only one witness of the force."""
+
 
 class FollowingExperiment(Experiment[FollowingScenario]):
     """Closed loop of station, hand, scanner, tracker and controller.
@@ -239,7 +244,10 @@ class FollowingExperiment(Experiment[FollowingScenario]):
     def summarize(self, log: RunLog) -> dict[str, Any]:
         """Summarise a log, see `summarize`, and add what the guard noticed as `guard.noticed`."""
         figures = summarize(log, self.force_target, self.reader)
-        figures["guard"]["noticed"] = self._guard.remark or None
+        controller, noticed = self.probe_controller, [self._guard.remark]
+        if controller.HasOutputPort("guard") and not controller.HasInputPort("external_torque"):
+            noticed.append(_WRIST_ALONE)
+        figures["guard"]["noticed"] = "; ".join(filter(None, noticed)) or None
         return figures
 
     def happened(self) -> FollowingScenario:

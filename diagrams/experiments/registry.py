@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
+from sonoservo.systems.files.model_file import NAMING
 from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
 from sonoservo.systems.files.typed_yaml import (
     apply_changes,
@@ -149,7 +150,7 @@ def _look_beside(data: dict[str, Any], folder: Path) -> None:
     """Let the files that a scenario's data name count from its own folder, if they lie there."""
     station = data.get("station")
     for part in [data, station] if isinstance(station, dict) else [data]:
-        for name in part.keys() & {"phantom", "probe", "needle", "arm"}:
+        for name in part.keys() & NAMING:
             file = part[name]
             if isinstance(file, str) and Path(file).suffix and (folder / file).is_file():
                 part[name] = str(folder / file)

@@ -322,7 +322,7 @@ def missing_needle(log: RunLog) -> tuple[str, Sequence[Remedy]]:
     visible = at_times(log, log.visible_length, log.volume_time)
     seen = np.nan_to_num(visible) > _IN_VIEW
     if np.isfinite(visible).any() and not seen.any():
-        stopped = _seconds(log.guard_reason != "", log.time)
+        stopped = guard(log)["stopped_s"]
         held = f" The guard had stopped the robot for {stopped:.1f} s." if stopped else ""
         return f"The needle never came into view.{held}{last}", [_UNSEEN]
     shown = [reason for reason, each in zip(reasons, seen, strict=True) if each] or reasons

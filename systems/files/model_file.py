@@ -11,6 +11,9 @@ from sonoservo.systems.files.typed_yaml import read_yaml, suggest
 
 T = TypeVar("T")
 
+NAMING = frozenset({"phantom", "probe", "needle", "arm"})
+"""Fields of a scenario, and of its station, that hold the name of a model or of a user's file."""
+
 _MODELS = model_path("package.xml").parent
 
 

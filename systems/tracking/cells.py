@@ -207,20 +207,29 @@ def tissue_shift(
     same = np.stack([now.edges / before.edges, (now.origin - before.origin) / before.edges])
     best, information, most_alike = np.zeros(3), np.zeros((3, 3)), -1.0
     for start in starts:
-        shift = start / before.edges
-        for _ in range(_STEPS):
-            H, g, common, alike, variance, count = _shift_equations(
-                now.levels, now.lit, before.levels, before.lit, M, offset + shift, same
-            )
-            if count < 200 or not np.trace(H) > 0:
-                break
-            step = np.clip(np.linalg.solve(H + 1e-3 * np.trace(H) * np.eye(3), g), -1, 1)
-            if np.abs(step).max() >= _CONVERGED:
-                shift = shift + step
-                continue
-            if alike > most_alike:
-                best, most_alike = shift * before.edges, alike
-                told = _told(common, alike, variance, count, len(starts))
-                information = told / np.outer(before.edges, before.edges)
-            break
+        found = _search(now, before, M, offset, same, start / before.edges)
+        if found is None:
+            continue
+        shift, common, alike, variance, count = found
+        if alike > most_alike:
+            best, most_alike = shift * before.edges, alike
+            told = _told(common, alike, variance, count, len(starts))
+            information = told / np.outer(before.edges, before.edges)
     return best, information
+
+
+def _search(
+    now: Cells, before: Cells, M: Floats, offset: Floats, same: Floats, shift: Floats
+) -> tuple[Floats, Floats, float, float, int] | None:
+    """Return the shift in cells that is found from a first one, and what is in common there."""
+    for _ in range(_STEPS):
+        H, g, *found = _shift_equations(
+            now.levels, now.lit, before.levels, before.lit, M, offset + shift, same
+        )
+        if found[-1] < 200 or not np.trace(H) > 0:
+            return None
+        step = np.clip(np.linalg.solve(H + 1e-3 * np.trace(H) * np.eye(3), g), -1, 1)
+        if np.abs(step).max() < _CONVERGED:
+            return shift, *found
+        shift = shift + step
+    return None

@@ -49,8 +49,9 @@ themselves: places are sampled more exactly in one volume than in another. Chose
 _PEAK = math.gamma(0.5 * (_TAIL + 1)) / math.gamma(0.5 * _TAIL) * math.sqrt(2 / _TAIL)
 """Its density at 0, relative to that of a Gaussian."""
 
-_ROUNDS = 12
-"""Rounds after which `change_between` has settled."""
+_ROUNDS, _SETTLED = 100, 1e-5
+"""Largest number of rounds of `change_between`, and change of the share from one to the next that
+ends it."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -316,8 +317,8 @@ def _repeats(squares: Floats) -> Floats:
 def change_between(now: LineLevels, before: NDArray[Any]) -> Change:
     """Return how levels have changed, by expectation and maximisation; arguments of `repeat_ratio`.
 
-    It starts from one bin of a line and one of nothing that are drawn anew, and one that is not and
-    differs by 1 dB.
+    Before anything is known, each share counts half a bin (Jeffreys 1946), of which the one that
+    repeats itself differs by 1 dB.
     """
     steps = np.asarray(now.levels - before, np.float64)
     both = np.isfinite(steps)
@@ -329,10 +330,12 @@ def change_between(now: LineLevels, before: NDArray[Any]) -> Change:
         same = _repeats(squares / variance) / math.sqrt(variance)
         parts = shares[:, np.newaxis] * [*densities, same]
         parts /= parts.sum(axis=0)
-        totals = 1 + parts.sum(axis=1)
-        shares = totals / totals.sum()
+        totals = 0.5 + parts.sum(axis=1)
+        shares, share = totals / totals.sum(), shares[2]
         weights = parts[2] * (_TAIL + 1) / (_TAIL + squares / variance)
-        variance = (1 + float(weights @ squares)) / float(totals[2])
+        variance = (0.5 + float(weights @ squares)) / float(totals[2])
+        if abs(shares[2] - share) < _SETTLED:
+            break
     return Change(1 - float(shares[2]), math.sqrt(variance))
 
 

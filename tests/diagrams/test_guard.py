@@ -6,7 +6,12 @@ from pathlib import Path
 import pytest
 from fault_runs import GUARDS, Fault, FaultCase, FaultLoop, changed, draw_case, rise, run_faults
 
-from sonoservo.diagrams import MakeProbeController, ProbeControllerParameters, load_scenario
+from sonoservo.diagrams import (
+    FollowingExperiment,
+    MakeProbeController,
+    ProbeControllerParameters,
+    load_scenario,
+)
 from sonoservo.models import model_path
 from sonoservo.systems.control import GuardParameters
 from sonoservo.systems.files.refusals import ConfigurationError
@@ -124,6 +129,11 @@ def test_an_arm_without_torques_may_not_press_hard(tmp_path):
         MakeProbeController(parameters=hard, arm=str(arm))
     controller = MakeProbeController(parameters=ProbeControllerParameters(), arm=str(arm))
     assert not controller.HasInputPort("external_torque")
+    changes = [f"station.arm={arm}", "duration=0.2"]
+    experiment = FollowingExperiment(load_scenario("chatelain2013_fig5", changes=changes))
+    experiment.run()
+    noticed = experiment.summarize(experiment.log())["guard"]["noticed"]
+    assert "nothing but the wrist's sensor tells the force" in noticed
 
 
 def test_without_the_guard_the_force_is_not_held():
