@@ -100,6 +100,7 @@ class Check(Enum):
     SPACING = "spacing"
     SPECKLE = "speckle"
     CONTENT = "content"
+    LEVELS = "grey levels"
     RATE = "rate"
     CLOCK = "clock"
     CHAIN = "transforms"
@@ -285,8 +286,11 @@ def gravest(findings: Iterable[Finding]) -> Finding | None:
     return max(grave, key=lambda each: each.grade, default=None)
 
 
-def check_times(times: ArrayLike, what: str = "volumes") -> list[Finding]:
-    """Check the rate of volumes or frames, how steady it is, and what is missing."""
+def check_times(times: ArrayLike, what: str = "volumes", *, bridged: float = 0.0) -> list[Finding]:
+    """Check the rate of volumes or frames, how steady it is, and what is missing.
+
+    Gaps of up to a time ``bridged`` in s are no loss, as those between poses.
+    """
     every = np.asarray(times, float)
     there = np.flatnonzero(np.abs(every) <= MAX_TIME)
     if len(there) <= 1:
@@ -313,7 +317,7 @@ def check_times(times: ArrayLike, what: str = "volumes") -> list[Finding]:
     missing = steps / period - passed
     # A stamp that is early, as one that repeats is, makes the next step long.
     missing[1:] += np.minimum(missing[:-1], 0)
-    gaps = missing > _GAP - 1
+    gaps = (missing > _GAP - 1) & (steps > bridged)
     if gaps.any():
         longest, about = steps[gaps].max(), int(np.round(missing[gaps]).sum())
         found = _Fault.GAPS(gaps=int(gaps.sum()), longest=longest, missing=about, what=what)
@@ -573,16 +577,16 @@ def _check_speckle(volume: Volume) -> Finding:
         1e3 * float(np.median(each)) for each in (spread.lateral, spread.axial, spread.elevation)
     )
     text = (
-        f"{axial:.2g} mm along the sound, {lateral:.2g} mm across it, {elevation:.2g} mm from "
-        "frame to frame"
+        f"{axial:.2g} mm along the sound, {lateral:.2g} mm laterally, "
+        f"{elevation:.2g} mm in elevation"
     )
     if axial > _OTHER_AXIS * min(lateral, elevation):
-        finest = "across the sound" if lateral < elevation else "from frame to frame"
+        finest = "laterally" if lateral < elevation else "in elevation"
         return _Fault.OTHER_AXIS(text=text, finest=finest)
     for width, (least, most), where in (
         (axial, _AXIAL_MM, "along the sound"),
-        (lateral, _ACROSS_MM, "across it"),
-        (elevation, _ACROSS_MM, "from frame to frame"),
+        (lateral, _ACROSS_MM, "laterally"),
+        (elevation, _ACROSS_MM, "in elevation"),
     ):
         if not least <= width <= most:
             return _Fault.WIDTH(text=text, where=where, least=least, most=most)

@@ -11,11 +11,14 @@ _CAPACITY = 1024
 # Time in s: what lies further back is a clock that was set anew, not a message that was late.
 _JUMP = 1.0
 
+BRIDGED = 0.5
+"""Longest time in s between two poses over which poses are interpolated."""
+
 
 class PoseHistory:
     """Poses with their times, bridged by interpolation over at most ``max_gap`` s."""
 
-    def __init__(self, *, max_gap: float = 0.5, tolerance: float = 0.05) -> None:
+    def __init__(self, *, max_gap: float = BRIDGED, tolerance: float = 0.05) -> None:
         self._max_gap, self._tolerance = max_gap, tolerance
         self._times: list[float] = []
         self._poses: list[RigidTransform] = []

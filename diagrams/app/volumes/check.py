@@ -52,6 +52,7 @@ from sonoservo.systems.live.connection.items import ImageItem, Item, PoseItem
 from sonoservo.systems.live.connection.link import Link, shown
 from sonoservo.systems.live.image_matcher import ImageMatcher, PosedImage
 from sonoservo.systems.live.live_source import LiveSource
+from sonoservo.systems.live.pose_history import BRIDGED
 from sonoservo.systems.recording.file_items import TimesMissingError
 from sonoservo.systems.recording.plus_configuration import read_plus_configuration
 from sonoservo.systems.recording.recording import Recording
@@ -243,7 +244,7 @@ def _check_range(volume: Volume, given: float | None, stated: bool) -> Finding:
         text += ", as stated with the volumes"
     else:
         text += " by assumption, as nothing states it (--dynamic-range-db does)"
-    return Finding(Check.CONTENT, Grade.FINE, text)
+    return Finding(Check.LEVELS, Grade.FINE, text)
 
 
 def _check_recording(checked: CheckedSource, recording: Recording, reading: Reading) -> None:
@@ -409,8 +410,11 @@ def check_stream(
         checked.note(Check.LEFT_OUT, text, Grade.WRONG, "look at the program that sends them")
     for (name, kind), stamps in sorted(record.stamps.items()):
         if kind in ("image", "pose"):
-            for finding in check_times(np.array(stamps), f"messages of {shown(name)}"):
-                checked.findings.append(finding)
+            checked.findings += check_times(
+                np.array(stamps),
+                f"messages of {shown(name)}",
+                bridged=BRIDGED if kind == "pose" else 0.0,
+            )
     for name, poses_seen in record.poses.items():
         times, matrices = zip(*poses_seen, strict=True)
         mm = np.array(matrices)

@@ -105,6 +105,13 @@ def test_gaps_are_not_of_volumes_left_out_for_their_time(times):
     assert "gaps" not in str(check_times(times))
 
 
+def test_gaps_that_interpolation_bridges_are_no_loss():
+    times = np.delete(0.02 * np.arange(60), [20, *range(30, 50)])
+    assert "gaps: 2," in str(check_times(times))
+    assert "gaps: 1," in str(check_times(times, bridged=0.1))
+    assert "gaps" not in str(check_times(times, bridged=0.5))
+
+
 def test_jitter_is_not_of_volumes_left_out_for_their_time():
     findings = check_times(SET_BACK)
     assert {each.check for each in findings if each.grade} == {Check.CLOCK}
@@ -176,7 +183,7 @@ def test_speckle_tells_right_spacing_unit_and_direction(volume):
     assert float(text.split()[0]) == pytest.approx(0.6, rel=0.15)
     turned = check_volume(speckle(SPACING[[1, 0, 2]], WIDTHS[[1, 0, 2]]))
     assert "as if the sound ran there" in worst(turned)[1]
-    assert "finest across the sound" in worst(turned)[1]
+    assert "finest laterally" in worst(turned)[1]
 
 
 def test_blank_and_hollow_volumes_are_told(volume):

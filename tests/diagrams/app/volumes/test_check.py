@@ -96,7 +96,7 @@ def test_volumes_left_out_are_told_by_their_reason(tmp_path):
 def test_range_from_black_to_white_is_told(tmp_path, fields, given, text):
     path = write_sequence_nrrd(tmp_path / "a.seq.nrrd", noise(2), **fields)
     checked = check_file(path, Reading(dynamic_range_db=given))
-    assert any(f"black to white is {text}" in each.text for each in found(checked, Check.CONTENT))
+    assert any(f"black to white is {text}" in each.text for each in found(checked, Check.LEVELS))
 
 
 def test_a_step_of_one_second_is_doubted_unless_given(tmp_path):
