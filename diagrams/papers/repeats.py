@@ -2,18 +2,22 @@
 
 import hashlib
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from itertools import zip_longest
 from typing import Any
 
 from sonoservo.diagrams.papers.registry import module_of
-from sonoservo.diagrams.papers.results import by_case, case_digits, kept_records, require_addable
-from sonoservo.diagrams.studies.study import Case, StudyOptions
+from sonoservo.diagrams.papers.results import by_case, case_digits, require_addable, require_records
+from sonoservo.diagrams.studies.fingerprint import is_outdated
+from sonoservo.diagrams.studies.study import Case, Outcome, StudyOptions
 from sonoservo.systems.files.refusals import ConfigurationError
 
 _CLOCK = frozenset({"compute", "compute_ms", "compute_s", "track_time"})
 """Figures that a clock of the computer measured: no two runs have the same."""
+
+_PROBED = 3
+"""Number of runs of an experiment that show whether the present code changes its figures."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +48,16 @@ def choose_missing(paper: str) -> Choice:
     return choose
 
 
+@dataclass(frozen=True)
+class Refreshed:
+    """What has become of kept runs that other code made."""
+
+    outcomes: Sequence[Outcome]
+    """Runs by the present code, of those experiments whose figures it changes."""
+    same: int
+    """Number of runs of the other experiments that it made again, with the same figures."""
+
+
 def repeat_kept_runs(paper: str, number: int, options: StudyOptions) -> list[Repeat]:
     """Make about ``number`` of a paper's kept runs again, and compare each with its record.
 
@@ -52,28 +66,66 @@ def repeat_kept_runs(paper: str, number: int, options: StudyOptions) -> list[Rep
     those from which an estimator learns, are all run. ConfigurationError if no records are kept, or
     the study makes none of their runs any more.
     """
-    records = kept_records(paper)
-    if records is None:
-        raise ConfigurationError(f"--repeat: no records of runs are kept of {paper}")
-    kept = by_case(records.outcomes)
+    kept = by_case(require_records(paper, "--repeat").outcomes)
+    again = _made_again(
+        paper, kept, options, lambda found: found[: math.ceil(number * len(found) / len(kept))]
+    )
+    return [Repeat(outcome.case.name, difference) for outcome, difference in again]
 
-    def choose(cases: Sequence[Case]) -> Sequence[Case]:
-        experiments = {each.case.experiment for each in kept.values()}
+
+def refresh_kept_runs(paper: str, options: StudyOptions) -> Refreshed:
+    """Make those kept runs again whose figures the present code changes.
+
+    Of each experiment with runs by other code, `_PROBED` are made again. If one differs, all are.
+    Errors and steps are those of `repeat_kept_runs`.
+    """
+    records = require_records(paper, "--refresh")
+    kept = by_case(records.outcomes)
+    old = {each.case.experiment for each in records.outcomes if is_outdated(each.made_by)}
+
+    def of(experiments: Set[str], number: int | None) -> Choice:
+        def choose(found: Sequence[Case]) -> Sequence[Case]:
+            chosen = [
+                each
+                for name in sorted(experiments)
+                for each in [case for case in found if case.experiment == name][:number]
+            ]
+            return chosen or found[:1]  # a step runs at least one
+
+        return choose
+
+    probed = _made_again(paper, kept, options, of(old, _PROBED))
+    changed = {outcome.case.experiment for outcome, difference in probed if difference}
+    again = _made_again(paper, kept, options, of(changed, None)) if changed else []
+    return Refreshed(
+        [outcome for outcome, _ in again if outcome.case.experiment in changed],
+        sum(outcome.case.experiment in old - changed for outcome, _ in probed),
+    )
+
+
+def _made_again(
+    paper: str, kept: Mapping[str, Outcome], options: StudyOptions, choose: Choice
+) -> list[tuple[Outcome, str]]:
+    """Make the chosen ones of kept runs again; return each with what differs, empty if nothing.
+
+    They are in the order of a hash, so that any number of them is spread over the experiments.
+    """
+    experiments = {each.case.experiment for each in kept.values()}
+
+    def chosen(cases: Sequence[Case]) -> Sequence[Case]:
         if experiments.isdisjoint(each.experiment for each in cases):
             return cases
         found = [case for case in cases if case_digits(case) in kept]
         if not found:
-            raise ConfigurationError("--repeat: the study makes none of the kept runs any more")
-        # By a hash, so that they are spread over the experiments, and the same ones each time.
-        found.sort(key=lambda case: hashlib.sha256(case.key.encode()).digest())
-        return found[: math.ceil(number * len(found) / len(kept))]
+            raise ConfigurationError("the study makes none of the kept runs any more")
+        return choose(sorted(found, key=lambda case: hashlib.sha256(case.key.encode()).digest()))
 
-    repeats = []
-    for outcome in module_of(paper, "reproduction").run(replace(options, choose=choose)):
+    again = []
+    for outcome in module_of(paper, "reproduction").run(replace(options, choose=chosen)):
         if (record := kept.get(case_digits(outcome.case))) is not None:
             one, other = ({"error": e.error, "result": e.result} for e in (outcome, record))
-            repeats.append(Repeat(outcome.case.name, next(_differences(one, other), "")))
-    return repeats
+            again.append((outcome, next(_differences(one, other), "")))
+    return again
 
 
 def _differences(one: Any, other: Any, path: str = "") -> Iterator[str]:

@@ -9,11 +9,13 @@ runs has changed since.
 import json
 import math
 import re
+from collections import ChainMap
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cache, partial
 from html import escape
 from importlib import import_module
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +23,7 @@ from numba import config
 
 from sonoservo.diagrams.papers.registry import STUDIES, module_of
 from sonoservo.diagrams.published import PAPERS
-from sonoservo.diagrams.studies.fingerprint import RECORDS, made_with
+from sonoservo.diagrams.studies.fingerprint import RECORDS, is_outdated, made_with
 from sonoservo.diagrams.studies.records import (
     Records,
     kept_commit,
@@ -100,8 +102,7 @@ def _joined(
     name: str, outcomes: Sequence[Outcome], command: str, *, whole: bool = False
 ) -> Records:
     """Return the kept records of a study with further ones; one made again takes its own place."""
-    if (kept := kept_records(name)) is None:
-        raise ConfigurationError(f"--keep: no records of {name} are kept to which to add")
+    kept = require_records(name, "--add")
     runs = by_case([*kept.outcomes, *outcomes])
     command = command if whole else f"{kept.command}; {command}"
     return present_records([*runs.values()], command, kept.repeats)
@@ -122,24 +123,56 @@ def kept_records(name: str) -> Records | None:
     return read_records(_path(name))
 
 
+def require_records(name: str, option: str) -> Records:
+    """Return the records of the kept runs of a study; ConfigurationError if there are none."""
+    records = kept_records(name)
+    if records is None:
+        raise ConfigurationError(f"{option}: no records of runs are kept of {name}")
+    return records
+
+
 def keep_repeat(name: str, runs: int) -> None:
     """Keep beside a study's records that so many of its runs, made again now, gave the same.
 
     The tables then say so, and no longer that the code has changed. ConfigurationError outside a
     checkout, if nothing is kept, or if the present code is not committed.
     """
-    _require_checkout()
-    records, commit = kept_records(name), kept_commit()
-    if records is None:
-        raise ConfigurationError(f"--keep: no records of runs are kept of {name}")
-    repeat = {
-        "code": present_code(dict.fromkeys(each.made_by["module"] for each in records.outcomes)),
-        "for": config.CPU_NAME or made_with()["instruction set"],
-    }
-    others = [each for each in records.repeats if {**each, **repeat} != each]
-    repeats = [*others, {**repeat, "commit": commit, "runs": runs}]
-    write_records(_path(name), replace(records, repeats=repeats))
+    commit, records = require_keepable(), require_records(name, "--keep")
+    write_records(_path(name), _with_repeat(records, commit, runs))
     write_tables()
+
+
+def keep_refreshed(name: str, outcomes: Sequence[Outcome], runs: int, *, whole: bool) -> None:
+    """Keep runs of a study in place of those of the same cases, and how many others are the same.
+
+    The note about changed code goes if the ``whole`` study was refreshed. Errors are those of
+    `keep_repeat`.
+    """
+    commit, records = require_keepable(), require_records(name, "--refresh")
+    joined = replace(records, outcomes=[*by_case([*records.outcomes, *outcomes]).values()])
+    present = sum(not is_outdated(each.made_by) for each in joined.outcomes)
+    if present == len(joined.outcomes):
+        joined = replace(joined, commit=commit, version=version("sonoservo"), repeats=())
+    elif whole:
+        joined = _with_repeat(joined, commit, runs, anew=present)
+    write_records(_path(name), joined)
+    write_tables()
+
+
+def _with_repeat(records: Records, commit: str, runs: int, **more: int) -> Records:
+    """Return records with the note of a repeat, which replaces one by the same code."""
+    modules = dict.fromkeys(each.made_by["module"] for each in records.outcomes)
+    by = {"code": present_code(modules), "for": config.CPU_NAME or made_with()["instruction set"]}
+    same = [each for each in records.repeats if {**each, **by} == each]
+    others = [each for each in records.repeats if each not in same]
+    repeat = dict(ChainMap(more, {"commit": commit, "runs": runs}, by, *same))
+    return replace(records, repeats=[*others, repeat])
+
+
+def require_keepable() -> str:
+    """Return the commit of the present code; ConfigurationError if no results of it can be kept."""
+    _require_checkout()
+    return kept_commit()
 
 
 def _require_checkout() -> None:
@@ -180,10 +213,11 @@ def _source(kept: Mapping[str, Any], more: str = "") -> str:
     said = f"Commit {kept['commit'][:10]}, `{kept['command']}`{more}."
     said += CHANGED if kept.get("outdated") else ""
     for each in kept.get("repeats", ()):
-        said += (
-            f" {each['runs']} of the runs, made again by commit {each['commit'][:10]} "
-            f"({each['for']}), gave the same figures."
-        )
+        by = f"commit {each['commit'][:10]} ({each['for']})"
+        if anew := each.get("anew"):
+            said += f" {anew} of the runs, whose figures have changed since, are by {by}."
+        others = "others" if anew else "the runs"
+        said += f" {each['runs']} of {others}, made again by {by}, gave the same figures."
     return said
 
 

@@ -167,6 +167,13 @@ def reproduce_command(
         int | None,
         typer.Option(min=1, help="Make this many of the kept runs again, and compare the figures."),
     ] = None,
+    refresh: Annotated[
+        bool,
+        typer.Option(
+            "--refresh",
+            help="Make the kept runs again whose figures the present code changes, and keep them.",
+        ),
+    ] = False,
 ) -> None:
     """Repeat a paper's experiments over many seeds, and compare with its figures and the truth.
 
@@ -184,6 +191,14 @@ def reproduce_command(
                 "--first-seed, --only, --finished, --add and --out"
             )
         _repeat(papers, repeat, workers, results, keep=keep)
+        return
+    if refresh:
+        if quick or seeds or first_seed or finished or add or keep:
+            raise ConfigurationError(
+                "--refresh: it takes the kept runs as they are, and keeps them; leave out --quick, "
+                "--seeds, --first-seed, --finished, --add and --keep"
+            )
+        _refresh(papers, only, workers, results)
         return
     if (keep and (quick or first_seed or only)) or (add and quick):
         raise ConfigurationError(
@@ -269,6 +284,33 @@ def _repeat(
     write_printed(results.json_path, rows)
     if any(each.difference for repeats in made.values() for each in repeats):
         raise typer.Exit(1)
+
+
+def _refresh(papers: Iterable[str], only: str, workers: Workers, results: Results) -> None:
+    """Make those kept runs of each paper again that the present code changes, and keep them."""
+    from sonoservo.diagrams.papers.repeats import refresh_kept_runs
+    from sonoservo.diagrams.papers.results import keep_refreshed, require_keepable
+    from sonoservo.diagrams.studies.study import StudyOptions
+
+    require_keepable()
+    made = {}
+    for paper in papers:
+        folder = (results.out or Path("out")) / f"{paper}_refreshed"
+        console.print(f"Refreshing {paper} ...")
+        with opened(workers) as executor:
+            with refusing_values():
+                options = StudyOptions(
+                    folder=folder, only=only, jobs=workers.jobs, cluster=executor, console=console
+                )
+            found = refresh_kept_runs(paper, options)
+        keep_refreshed(paper, found.outcomes, found.same, whole=not only)
+        experiments = dict.fromkeys(each.case.experiment for each in found.outcomes)
+        say(
+            f"{paper}: {len(found.outcomes)} runs of {len(experiments)} experiments are kept anew; "
+            f"{found.same} runs of the others gave the same figures again"
+        )
+        made[paper] = {"experiments": list(experiments), "same": found.same}
+    write_printed(results.json_path, made)
 
 
 MAKE = "make"

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from sonoservo.diagrams.papers import repeats
+from sonoservo.diagrams.papers import repeats, results
 from sonoservo.diagrams.studies import Case, Outcome, StudyOptions
 from sonoservo.diagrams.studies.processes import Processes
 from sonoservo.diagrams.studies.records import Records
@@ -47,10 +47,11 @@ def repeat(tmp_path, monkeypatch):
     monkeypatch.setattr(repeats, "module_of", lambda *name: SimpleNamespace(run=run))
 
     def make(records, number):
-        monkeypatch.setattr(repeats, "kept_records", lambda paper: records)
+        monkeypatch.setattr(results, "kept_records", lambda paper: records)
         options = StudyOptions(folder=tmp_path / str(number), cluster=Processes(1))
         return repeats.repeat_kept_runs("mine", number, options)
 
+    make.options = StudyOptions(folder=tmp_path / "refreshed", cluster=Processes(1))
     return make
 
 
@@ -78,6 +79,27 @@ def test_another_figure_is_named_with_both_values(repeat):
     (other,) = [each for each in found if each.difference]
     assert other.name.startswith("steep_seed003")
     assert other.difference == "result.tips[0]: 0.428571, kept 0.428581"
+
+
+def test_experiments_whose_figures_changed_are_made_again_and_others_are_not(repeat, monkeypatch):
+    records = kept()
+
+    def found():
+        return repeats.refresh_kept_runs("mine", repeat.options)
+
+    monkeypatch.setattr(results, "kept_records", lambda paper: records)
+    monkeypatch.setattr(repeats, "is_outdated", lambda made_by: False)
+    assert found() == repeats.Refreshed([], 0)
+    monkeypatch.setattr(repeats, "is_outdated", lambda made_by: True)
+    assert found() == repeats.Refreshed([], 6)
+    for outcome in records.outcomes:
+        if outcome.case.experiment == "steep":
+            outcome.result["tips"][1] = 0.0
+    refreshed = found()
+    assert refreshed.same == 3
+    assert {each.case.experiment for each in refreshed.outcomes} == {"steep"}
+    assert sorted(each.case.seed for each in refreshed.outcomes) == list(range(10))
+    assert all(each.result["tips"][1] is None for each in refreshed.outcomes)
 
 
 def test_runs_that_the_study_does_not_make_any_more_are_refused(repeat):
