@@ -2,7 +2,7 @@
 
 import hashlib
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence, Set
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from itertools import zip_longest
 from typing import Any
@@ -53,7 +53,7 @@ class Refreshed:
     """What has become of kept runs that other code made."""
 
     outcomes: Sequence[Outcome]
-    """Runs by the present code, of those experiments whose figures it changes."""
+    """Runs by the present code, of those experiments and trackers whose figures it changes."""
     same: int
     """Number of runs of the other experiments that it made again, with the same figures."""
 
@@ -76,31 +76,36 @@ def repeat_kept_runs(paper: str, number: int, options: StudyOptions) -> list[Rep
 def refresh_kept_runs(paper: str, options: StudyOptions) -> Refreshed:
     """Make those kept runs again whose figures the present code changes.
 
-    Of each experiment with runs by other code, `_PROBED` are made again. If one differs, all are.
-    Errors and steps are those of `repeat_kept_runs`.
+    Of each experiment with runs by other code, and of each tracker in it, `_PROBED` are made again.
+    If one differs, all are. Errors and steps are those of `repeat_kept_runs`.
     """
-    records = require_records(paper, "--refresh")
-    kept = by_case(records.outcomes)
-    old = {each.case.experiment for each in records.outcomes if is_outdated(each.made_by)}
+    kept = by_case(require_records(paper, "--refresh").outcomes)
+    old = {_kind(each.case) for each in kept.values() if is_outdated(each.made_by)}
 
-    def of(experiments: Set[str], number: int | None) -> Choice:
+    def of(kinds: Set[Hashable], number: int | None) -> Choice:
         def choose(found: Sequence[Case]) -> Sequence[Case]:
+            by_kind: dict[Hashable, list[Case]] = {}
+            for case in found:
+                by_kind.setdefault(_kind(case), []).append(case)
             chosen = [
-                each
-                for name in sorted(experiments)
-                for each in [case for case in found if case.experiment == name][:number]
+                each for kind, cases in by_kind.items() if kind in kinds for each in cases[:number]
             ]
             return chosen or found[:1]  # a step runs at least one
 
         return choose
 
     probed = _made_again(paper, kept, options, of(old, _PROBED))
-    changed = {outcome.case.experiment for outcome, difference in probed if difference}
+    changed = {_kind(outcome.case) for outcome, difference in probed if difference}
     again = _made_again(paper, kept, options, of(changed, None)) if changed else []
     return Refreshed(
-        [outcome for outcome, _ in again if outcome.case.experiment in changed],
-        sum(outcome.case.experiment in old - changed for outcome, _ in probed),
+        [outcome for outcome, _ in again if _kind(outcome.case) in changed],
+        sum(_kind(outcome.case) in old - changed for outcome, _ in probed),
     )
+
+
+def _kind(case: Case) -> Hashable:
+    """Return what cases have in common of which all change if the code of one does."""
+    return case.experiment, *case.settings.get("trackers", ())
 
 
 def _made_again(
