@@ -9,7 +9,6 @@ runs has changed since.
 import json
 import math
 import re
-from collections import ChainMap
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cache, partial
@@ -165,7 +164,9 @@ def _with_repeat(records: Records, commit: str, runs: int, **more: int) -> Recor
     by = {"code": present_code(modules), "for": config.CPU_NAME or made_with()["instruction set"]}
     same = [each for each in records.repeats if {**each, **by} == each]
     others = [each for each in records.repeats if each not in same]
-    repeat = dict(ChainMap(more, {"commit": commit, "runs": runs}, by, *same))
+    repeat: dict[str, Any] = {}
+    for each in (*same, by, {"commit": commit, "runs": runs}, more):
+        repeat |= each
     return replace(records, repeats=[*others, repeat])
 
 
