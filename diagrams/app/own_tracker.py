@@ -119,7 +119,7 @@ class _FunctionTracker(LeafSystem):
             raise
         except BaseException as error:  # it may call sys.exit
             calls = extract_tb(error.__traceback__)
-            theirs = [each for each in calls if not each.filename.startswith(_OURS)]
+            theirs = [each for each in calls if not each.filename.startswith((*_OURS, "<"))]
             where = f", in {theirs[-1].filename}, line {theirs[-1].lineno}" if theirs else ""
             raise ConfigurationError(
                 f"{self._name}: this tracker of yours failed at {volume.time:.2f} s{where}: "

@@ -15,10 +15,13 @@ _HEAD = ("experiment", "name", "description", "published_figures")
 
 
 def base_of(scenario: Scenario) -> tuple[Scenario, str]:
-    """Return the built-in scenario that was changed, or all defaults, and its name in words."""
+    """Return the built-in scenario that was changed, or all defaults, and its name in words.
+
+    Some fields of a scenario are drawn by its seed, so the built-in one has the same.
+    """
     name = scenario.name.removesuffix("_as_published")
     if name in list_scenarios():
-        built_in = load_scenario(name)
+        built_in = load_scenario(name, seed=scenario.seed)
         if type(built_in) is type(scenario):
             return built_in, f"the built-in scenario {name}"
     return type(scenario)(), f"the defaults of the experiment {scenario.experiment!r}"

@@ -201,7 +201,7 @@ class _Fault(Enum):
              "{shown} mm: a box whose longest edge is {edge:.3g} mm is too small for a needle in "
              "tissue",
              "is the spacing in {unit}?")  # fmt: skip
-    BLANK = (Check.CONTENT, Grade.WRONG, "the volume shows nothing: all of its numbers are one",
+    BLANK = (Check.CONTENT, Grade.WRONG, "the volume shows nothing: its numbers are all the same",
              "look at the scanner's gain and whether it was frozen")  # fmt: skip
     UNKNOWN = (Check.CONTENT, Grade.WRONG,
                "the volume holds no echo: each of its numbers is NaN, infinite or stands for what "
@@ -648,7 +648,7 @@ def check_contents(volumes: Iterable[NDArray[Any]], what: str = "volumes") -> li
     found = [
         fault(count=len(numbers), read=read, what=what, number=numbers[0])
         for fault, numbers in ((_Fault.NOTHING, nothing), (_Fault.FROZEN, repeats))
-        if numbers
+        if numbers and read > 1  # a single one is checked by itself
     ]
     if shares:
         number, share = next(iter(shares.items()))

@@ -52,7 +52,7 @@ def field_meaning(schema: type, path: str) -> str:
     for name, _, text in field_rows(schema):
         if name == wanted:
             sentence = re.split(r"[.;] ", text.rpartition("Parameters: ")[2] + " ", maxsplit=1)[0]
-            return sentence.strip().removesuffix(".")
+            return sentence.strip().removesuffix(".").replace("`", "")
     return ""
 
 

@@ -26,6 +26,7 @@ from sonoservo.diagrams.app.options import (
     console,
     free_folder,
     refuse_for_files,
+    refuse_given,
     refusing_values,
     say,
     say_notes,
@@ -314,7 +315,9 @@ def locate_command(
             beam_width=curve.beam_width, echo_offset=curve.echo_offset
         )
     reading.refuse_for_files()
-    if not reading.reconstruct:  # times and poses do not matter for a single volume
+    if not reading.reconstruct:
+        if reading.poses != "none":
+            refuse_given(reading, "a volume has its own frame here", ("poses", "calibration"))
         reading.poses = "none"
     opened = open_volumes(volume, reading, timed=False)
     _say_about(opened)

@@ -262,7 +262,8 @@ def _check_recording(checked: CheckedSource, recording: Recording, reading: Read
     posed = "the volumes have poses" if recording.posed else "no poses: the probe counts as at rest"
     checked.note(Check.CHAIN, posed)
     calibrates = recording.posed and len(recording) > 1
-    calibrated = range(min(len(recording), _CALIBRATED) if calibrates else 0)
+    some = np.linspace(0, len(recording) - 1, min(len(recording), _CALIBRATED) * calibrates)
+    calibrated = set(some.round().astype(int).tolist())
     middle, calibration = len(recording) // 2, PoseCalibration()
     shares = {}
     # A file that was cut short ends at its last volume.

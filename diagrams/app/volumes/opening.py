@@ -195,6 +195,8 @@ def open_volumes(path: Path, reading: Reading | None = None, *, timed: bool = Tr
             path, depth=options.depth, volume_rate=options.volume_rate, timed=timed, **common
         )
     opened.notes[:0] = known.notes()
+    if options.calibration is not None and not opened.posed:
+        opened.notes.append("--calibration does not count, as no poses are used")
     return opened
 
 

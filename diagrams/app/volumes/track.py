@@ -221,6 +221,8 @@ def track_recording(
         sinks.append(lambda tracked: after_volume(tracked.number, tracked.estimate))
     if console is not None:
         sinks.append(_shown(console, truth, real_time))
+    if correct_poses and not recording.posed:
+        raise ConfigurationError(f"{recording.path}: --correct-poses: no poses are used")
     with claim_folder(out):
         if out is not None:
             clear_explanations(out)

@@ -192,10 +192,15 @@ _IN_PLANE = 0.6  # part of a direction that lies in a picture, from which it is 
 
 def orientation_sheet(volume: Volume, R_LP: RotationMatrix, *, caption: str = "") -> Figure:
     """Return a figure of the three middle planes of a volume."""
-    figure = Figure(figsize=(11, 4.6), layout="constrained")
     low, high = 1e3 * volume.origin, 1e3 * volume.upper
-    middle = [n // 2 for n in volume.intensities.shape]
-    for axes, (right, down) in zip(figure.subplots(1, 3), _VIEWS, strict=True):
+    middle, size = [n // 2 for n in volume.intensities.shape], high - low
+    widths, highest = [float(size[right]) for right, _ in _VIEWS], float(size[1:].max())
+    # All have one scale, with room for their labels.
+    inches = 9 / sum(widths)
+    height = float(np.clip(inches * highest, 2, 10)) + 1.6
+    figure = Figure(figsize=(12, height), layout="constrained")
+    panels = figure.subplots(1, 3, width_ratios=widths)
+    for axes, (right, down) in zip(panels, _VIEWS, strict=True):
         (other,) = {0, 1, 2} - {right, down}
         cut: NDArray[np.generic] = np.take(volume.intensities, middle[other], axis=other)
         shown = cut.T if right < down else cut
@@ -211,10 +216,11 @@ def orientation_sheet(volume: Volume, R_LP: RotationMatrix, *, caption: str = ""
                 continue
             x, y = part / np.linalg.norm(part) * [1, -1]
             arrow = {"arrowstyle": "->", "color": _NEEDLE}
-            axes.annotate("", xy=(0.5 + 0.3 * x, 0.5 + 0.3 * y), xytext=(0.5, 0.5),
+            axes.annotate("", xy=(0.5 + 0.2 * x, 0.5 + 0.3 * y), xytext=(0.5, 0.5),
                           xycoords="axes fraction", arrowprops=arrow)  # fmt: skip
-            axes.text(0.5 + 0.38 * x, 0.5 + 0.35 * y, name, color=_NEEDLE, ha="center",
-                      va="center", transform=axes.transAxes)  # fmt: skip
+            axes.text(0.5 + 0.22 * x, 0.5 + 0.34 * y, name, color=_NEEDLE, va="center",
+                      ha="center" if abs(x) < 0.5 else "left" if x > 0 else "right",
+                      transform=axes.transAxes)  # fmt: skip
     if caption:
         figure.supxlabel(caption, fontsize=9)
     return figure
