@@ -9,6 +9,7 @@ runs has changed since.
 import json
 import math
 import re
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cache, partial
@@ -153,21 +154,30 @@ def keep_refreshed(name: str, outcomes: Sequence[Outcome], runs: int, *, whole: 
     if present == len(joined.outcomes):
         joined = replace(joined, commit=commit, version=version("sonoservo"), repeats=())
     elif whole:
-        joined = _with_repeat(joined, commit, runs, anew=present)
+        joined = _with_repeat(joined, commit, runs)
     write_records(_path(name), joined)
     write_tables()
 
 
-def _with_repeat(records: Records, commit: str, runs: int, **more: int) -> Records:
+def _with_repeat(records: Records, commit: str, runs: int) -> Records:
     """Return records with the note of a repeat, which replaces one by the same code."""
     modules = dict.fromkeys(each.made_by["module"] for each in records.outcomes)
     by = {"code": present_code(modules), "for": config.CPU_NAME or made_with()["instruction set"]}
-    same = [each for each in records.repeats if {**each, **by} == each]
-    others = [each for each in records.repeats if each not in same]
-    repeat: dict[str, Any] = {}
-    for each in (*same, by, {"commit": commit, "runs": runs}, more):
-        repeat |= each
-    return replace(records, repeats=[*others, repeat])
+    others = [each for each in records.repeats if {**each, **by} != each]
+    return replace(records, repeats=[*others, {**by, "commit": commit, "runs": runs}])
+
+
+def _renewed(records: Records) -> dict[str, int]:
+    """Return how many of the runs are by commits that made them again, as figures had changed."""
+    code = Counter(
+        (each.made_by["module"], each.made_by["sonoservo's code"]) for each in records.outcomes
+    )
+    made = {
+        each["commit"]: sum(code[by] for by in each["code"].items()) for each in records.repeats
+    }
+    return {
+        commit: number for commit, number in made.items() if number and number < sum(code.values())
+    }
 
 
 def require_keepable() -> str:
@@ -213,12 +223,13 @@ def _source(kept: Mapping[str, Any], more: str = "") -> str:
     """Return the sentences on what made kept results, and whether they are outdated."""
     said = f"Commit {kept['commit'][:10]}, `{kept['command']}`{more}."
     said += CHANGED if kept.get("outdated") else ""
+    for commit, number in kept.get("renewed", {}).items():
+        said += f" {number} of the runs, whose figures have changed since, are by {commit[:10]}."
     for each in kept.get("repeats", ()):
-        by = f"commit {each['commit'][:10]} ({each['for']})"
-        if anew := each.get("anew"):
-            said += f" {anew} of the runs, whose figures have changed since, are by {by}."
-        others = "others" if anew else "the runs"
-        said += f" {each['runs']} of {others}, made again by {by}, gave the same figures."
+        said += (
+            f" {each['runs']} of the runs, made again by commit {each['commit'][:10]} "
+            f"({each['for']}), gave the same figures."
+        )
     return said
 
 
@@ -276,6 +287,7 @@ def _tables(name: str) -> _Tables | None:
         "commit": records.commit,
         "outdated": records.is_outdated,
         "repeats": records.present_repeats,
+        "renewed": _renewed(records),
     }
     return _KEPT[name].tables(name, records.outcomes, made)
 

@@ -167,14 +167,15 @@ def test_a_repeat_of_some_runs_says_that_other_code_gives_the_same_figures(
     assert page.read_text().count(again) == 1
     assert results.CHANGED not in page.read_text()
     (kept,) = study.outcomes
-    anew = replace(kept, case=replace(kept.case, seed=1), made_by={"module": "m", "new": "yes"})
-    monkeypatch.setattr(results, "is_outdated", lambda made_by: "new" not in made_by)
+    identity = {"module": "m", "sonoservo's code": "changed"}
+    anew = replace(kept, case=replace(kept.case, seed=1), made_by=identity)
+    monkeypatch.setattr(results, "is_outdated", lambda made_by: made_by != identity)
     monkeypatch.setattr(records, "code_fingerprint", lambda module: "changed")
     results.keep_refreshed("chatelain2013", [anew], 3, whole=False)
     assert results.CHANGED in page.read_text()  # there may be more
     results.keep_refreshed("chatelain2013", [anew], 3, whole=True)
-    assert " 1 of the runs, whose figures have changed since, are by commit def" in page.read_text()
-    assert " 3 of others, made again by commit def" in page.read_text()
+    assert " 1 of the runs, whose figures have changed since, are by def." in page.read_text()
+    assert " 3 of the runs, made again by commit def" in page.read_text()
     monkeypatch.setattr(records, "code_fingerprint", lambda module: "changed once more")
     results._tables.cache_clear()
     text = results.with_tables(page.read_text())
