@@ -54,10 +54,13 @@ def slice_planes(volume: Volume, curve: NeedleCurve | None = None) -> list[Plane
     its height along the beam, which puts the probe at the top of its image. The second plane is
     orthogonal to the first one, with its width along the needle. Each rectangle is as large as its
     plane's cut through the volume's grid. A plane that misses the grid is left out.
-    Without a curve (in W), the planes are Z = 0 and X = 0 of P.
+    Without a curve (in W), the planes are Z = 0 and X = 0 of P, or through the middle of a grid of
+    which nobody knows where the array lies.
     """
     across, depth, normal = np.eye(3)
     point, width, height = np.zeros(3), normal, depth
+    if volume.motion is None:
+        point = 0.5 * (volume.origin + volume.upper)
     if curve is not None:
         entry, point = volume.to_probe([curve.entry, curve.tip])
         along = (point - entry) / max(float(np.linalg.norm(point - entry)), np.finfo(float).tiny)

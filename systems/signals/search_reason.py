@@ -110,6 +110,7 @@ class SearchReason(Enum):
         Remedy(
             "record more volumes of the needle, three at least and seconds apart at most", None, ""
         ),
+        _ANYWHERE,
     )
     NOT_DETECTED = ("no needle has been", "no needle has been detected", _ANYWHERE, *_FAINT)
     THERE_BEFORE = (

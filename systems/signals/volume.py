@@ -64,6 +64,9 @@ class Volume(Immutable):
         require(
             min(array.shape) >= 2, "intensities.shape", array.shape, "at least 2 along each axis"
         )
+        if dtype == np.float32:
+            for level in (float(array.min()), float(array.max())):
+                require(0 <= level <= 255, "intensities", level, "log-compressed, from 0 to 255")
         object.__setattr__(self, "intensities", array)
         super().__post_init__()
         for axis, spacing in enumerate(self.spacing):

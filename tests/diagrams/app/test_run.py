@@ -69,7 +69,9 @@ def test_changes_are_those_from_the_built_in_scenario_or_from_the_defaults():
     (change,) = changed_fields(base, changed)
     assert (change.path, change.before, change.after) == ("imaging.gain", "0.42", "0.5")
     assert change.meaning
-    assert len(changed_fields(base, changed, seed=True)) == 2
+    assert len(changed_fields(load_scenario("chatelain2013_fig5"), changed, seed=True)) == 2
+    drawn = load_scenario("clinic", seed=7)
+    assert not changed_fields(base_of(drawn)[0], drawn)
     fewer = load_scenario("chatelain2013_fig5", changes={"name": "mine", "hand.pushes": []})
     assert base_of(fewer)[1] == "the defaults of the experiment 'following'"
     gone = {each.path: each.after for each in changed_fields(base, fewer)}

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -96,3 +98,7 @@ def test_planes_without_a_needle_are_those_of_the_probe(make_volume):
     assert (elevation.width, elevation.height) == pytest.approx((size[2], size[1]))
     assert lateral.X_PS.translation()[2] == pytest.approx(0)
     assert elevation.X_PS.translation()[0] == pytest.approx(0)
+    # An array in a corner of the grid shows in no slice.
+    unknown = replace(volume, motion=None, origin=np.zeros(3))
+    for plane in slice_planes(unknown):
+        np.testing.assert_allclose(plane.X_PS.translation(), unknown.upper / 2)

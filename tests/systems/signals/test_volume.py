@@ -25,6 +25,8 @@ def make(**changes):
     [
         {"intensities": np.full((4, 5, 6), np.nan, np.float32)},
         {"intensities": np.zeros((0, 5, 6), np.uint8)},
+        {"intensities": np.full((4, 5, 6), 255.5, np.float32)},
+        {"intensities": np.full((4, 5, 6), -1, np.int16)},
         {"spacing": [0.7, 0.7, 0.7]},
     ],
 )
