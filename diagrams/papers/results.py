@@ -223,8 +223,9 @@ def _source(kept: Mapping[str, Any], more: str = "") -> str:
     """Return the sentences on what made kept results, and whether they are outdated."""
     said = f"Commit {kept['commit'][:10]}, `{kept['command']}`{more}."
     said += CHANGED if kept.get("outdated") else ""
-    for commit, number in kept.get("renewed", {}).items():
-        said += f" {number} of the runs, whose figures have changed since, are by {commit[:10]}."
+    if renewed := kept.get("renewed"):
+        by = ", ".join(f"{number} by {commit[:10]}" for commit, number in renewed.items())
+        said += f" Runs made again since, as their figures had changed: {by}."
     for each in kept.get("repeats", ()):
         said += (
             f" {each['runs']} of the runs, made again by commit {each['commit'][:10]} "

@@ -174,7 +174,7 @@ def test_a_repeat_of_some_runs_says_that_other_code_gives_the_same_figures(
     results.keep_refreshed("chatelain2013", [anew], 3, whole=False)
     assert results.CHANGED in page.read_text()  # there may be more
     results.keep_refreshed("chatelain2013", [anew], 3, whole=True)
-    assert " 1 of the runs, whose figures have changed since, are by def." in page.read_text()
+    assert " as their figures had changed: 1 by def." in page.read_text()
     assert " 3 of the runs, made again by commit def" in page.read_text()
     monkeypatch.setattr(records, "code_fingerprint", lambda module: "changed once more")
     results._tables.cache_clear()
