@@ -648,7 +648,7 @@ def check_contents(volumes: Iterable[NDArray[Any]], what: str = "volumes") -> li
     found = [
         fault(count=len(numbers), read=read, what=what, number=numbers[0])
         for fault, numbers in ((_Fault.NOTHING, nothing), (_Fault.FROZEN, repeats))
-        if numbers and read > 1  # a single one is checked by itself
+        if numbers
     ]
     if shares:
         number, share = next(iter(shares.items()))

@@ -25,7 +25,7 @@ def volume_with_line(start, stop, contrast_db, *, factor=1.0, speckle_db=0.0, li
         25 + contrast_db * bright + speckle_db * np.random.default_rng(7).normal(size=bright.shape)
     )
     return Volume(
-        (level / DB).astype(np.float32),
+        (level / DB).clip(0, 255).astype(np.float32),
         origin=np.array([-0.025, 0, -0.025]),
         spacing=np.full(3, spacing),
         time=0.0,
