@@ -223,6 +223,8 @@ def track_recording(
         sinks.append(_shown(console, truth, real_time))
     if correct_poses and not recording.posed:
         raise ConfigurationError(f"{recording.path}: --correct-poses: no poses are used")
+    if out is not None and out.resolve() == recording.path.resolve():
+        raise ConfigurationError(f"--out: {out} holds the volumes; results need another folder")
     with claim_folder(out):
         if out is not None:
             clear_explanations(out)

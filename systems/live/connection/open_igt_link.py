@@ -38,7 +38,9 @@ _MM = 1e3
 _MAX_TEXT = 0xFFFF
 _FLOAT64, _OK, _NOT_READY = 11, 1, 13
 _UTF8 = 106  # Number of UTF-8 in IANA's list of character sets
-_LITTLE, _RAS = 2, 1
+_BIG, _LITTLE = 1, 2
+_RAS, _LPS = 1, 2
+_FARTHEST = 1e5  # position in mm beyond which there is no probe
 _TYPES = {2: "i1", 3: "u1", 4: "i2", 5: "u2", 6: "i4", 7: "u4", 10: "f4", 11: "f8"}
 _CODES = {np.dtype(each): code for code, each in _TYPES.items()}
 
@@ -131,6 +133,8 @@ def _decode_image(name: str, time: float, content: memoryview) -> list[Item]:
     size, numbers, first, part = rest[:3], rest[3:15], rest[15:18], rest[18:]
     if any(first) or part != size:
         raise ValueError("parts of volumes (subvolumes) are not taken")
+    if endian not in (_BIG, _LITTLE):
+        raise ValueError(f"a byte order of {endian} is not known")
     if code not in _TYPES:
         raise ValueError(f"numbers of type {code} are not known")
     kind = np.dtype(_TYPES[code]).newbyteorder("<" if endian == _LITTLE else ">")
@@ -151,8 +155,9 @@ def _decode_image(name: str, time: float, content: memoryview) -> list[Item]:
     matrix[:3, 3] -= matrix[:3, :3] @ (0.5 * (np.array(size) - 1))
     if not np.isfinite(matrix).all() or abs(np.linalg.det(matrix[:3, :3])) < 1e-12:
         raise ValueError("its matrix is no grid in space")
+    _require_near(matrix[:3, 3])
     matrix[:3] /= _MM
-    if space == _RAS:
+    if space != _LPS:  # as in the reference library
         matrix[:3] = _FLIP @ matrix[:3]
     return [ImageItem(name, time, voxels.reshape(size, order="F"), matrix)]
 
@@ -260,6 +265,11 @@ def _floats(rows: Iterable[ArrayLike]) -> bytes:
     return np.concatenate([np.ravel(row) for row in rows]).astype(">f4").tobytes()
 
 
+def _require_near(position: ArrayLike) -> None:
+    if np.abs(position).max() > _FARTHEST:
+        raise ValueError(f"its position is beyond {1e-3 * _FARTHEST:g} m")
+
+
 def _rigid(numbers: Sequence[float]) -> RigidTransform:
     """Return the motion of three columns and a position, in RAS and mm."""
     columns = np.reshape(numbers, (4, 3)).T
@@ -268,6 +278,7 @@ def _rigid(numbers: Sequence[float]) -> RigidTransform:
         raise ValueError("its matrix is no rigid motion")
     if np.linalg.det(R) < 0:
         raise ValueError("its matrix is a reflection, no rigid motion")
+    _require_near(columns[:, 3])
     return RigidTransform(RotationMatrix.ProjectToRotationMatrix(R), _FLIP @ columns[:, 3] / _MM)
 
 

@@ -176,6 +176,16 @@ def test_an_interruption_keeps_what_was_tracked(path, tmp_path):
     assert (tmp_path / "out" / "report.html").is_file()
 
 
+def test_what_cannot_be_carried_out_is_refused_before_anything_is_written(tmp_path):
+    path = write_sequence_nrrd(
+        tmp_path / "a.seq.nrrd", [np.ones((8, 9, 10), np.uint8)] * 2, times=[0, 0.1]
+    )
+    with pytest.raises(ConfigurationError, match="--correct-poses: no poses are used"):
+        track_recording(Recording(path), correct_poses=True)
+    with pytest.raises(ConfigurationError, match="--out: .* results need another folder"):
+        track_recording(Recording(path), out=path)
+
+
 @pytest.mark.parametrize(
     ("choice", "message"),
     [

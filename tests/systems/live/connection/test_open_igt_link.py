@@ -118,6 +118,7 @@ def test_tools_of_tracking_data_have_their_own_names():
     [
         ("TRANSFORM", struct.pack(">12f", *[-1, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0]), "reflection"),
         ("TRANSFORM", struct.pack(">12f", *[np.nan] * 12), "no rigid motion"),
+        ("TRANSFORM", struct.pack(">12f", *np.eye(4, 3).ravel()[:9], 0, 2e5, 0), "beyond 100 m"),
         ("TRANSFORM", b"short", "TRANSFORM 'D'"),
         ("TDATA", b"short", "no whole number of tools"),
         ("POSITION", bytes(12), "without an orientation"),
@@ -138,6 +139,7 @@ def test_content_that_makes_no_sense_is_left_out(kind, content, message):
     [
         (dict(at=0, value=struct.pack(">HB", 1, 3)), "60 numbers for .* voxels of 3"),
         (dict(at=3, value=b"\x63"), "numbers of type 99 are not known"),
+        (dict(at=4, value=b"\7"), "a byte order of 7 is not known"),
         (dict(at=12, value=struct.pack(">12f", *np.zeros(12))), "no grid in space"),
         (dict(at=60, value=struct.pack(">6H", 1, 0, 0, 2, 4, 3)), "ubvolume"),
     ],
