@@ -81,6 +81,8 @@ def refresh_kept_runs(paper: str, options: StudyOptions) -> Refreshed:
     """
     kept = by_case(require_records(paper, "--refresh").outcomes)
     old = {_kind(each.case) for each in kept.values() if is_outdated(each.made_by)}
+    if not old:
+        return Refreshed([], 0)
 
     def of(kinds: Set[Hashable], number: int | None) -> Choice:
         def choose(found: Sequence[Case]) -> Sequence[Case]:

@@ -150,8 +150,7 @@ def keep_refreshed(name: str, outcomes: Sequence[Outcome], runs: int, *, whole: 
     """
     commit, records = require_keepable(), require_records(name, "--refresh")
     joined = replace(records, outcomes=[*by_case([*records.outcomes, *outcomes]).values()])
-    present = sum(not is_outdated(each.made_by) for each in joined.outcomes)
-    if present == len(joined.outcomes):
+    if not any(is_outdated(each.made_by) for each in joined.outcomes):
         joined = replace(joined, commit=commit, version=version("sonoservo"), repeats=())
     elif whole:
         joined = _with_repeat(joined, commit, runs)

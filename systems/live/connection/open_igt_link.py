@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RigidTransform, RotationMatrix
 
+from sonoservo.systems.files.volume_file import MAX_POSITION
 from sonoservo.systems.live.connection.framing import (
     MAX_BODY,
     Frame,
@@ -40,7 +41,6 @@ _FLOAT64, _OK, _NOT_READY = 11, 1, 13
 _UTF8 = 106  # Number of UTF-8 in IANA's list of character sets
 _BIG, _LITTLE = 1, 2
 _RAS, _LPS = 1, 2
-_FARTHEST = 1e5  # position in mm beyond which there is no probe
 _TYPES = {2: "i1", 3: "u1", 4: "i2", 5: "u2", 6: "i4", 7: "u4", 10: "f4", 11: "f8"}
 _CODES = {np.dtype(each): code for code, each in _TYPES.items()}
 
@@ -266,8 +266,8 @@ def _floats(rows: Iterable[ArrayLike]) -> bytes:
 
 
 def _require_near(position: ArrayLike) -> None:
-    if np.abs(position).max() > _FARTHEST:
-        raise ValueError(f"its position is beyond {1e-3 * _FARTHEST:g} m")
+    if np.abs(position).max() > MAX_POSITION:
+        raise ValueError(f"its position is beyond {1e-3 * MAX_POSITION:g} m")
 
 
 def _rigid(numbers: Sequence[float]) -> RigidTransform:
